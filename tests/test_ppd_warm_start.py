@@ -385,5 +385,5 @@ def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):
     for mine in rows:
         surface[mine] = surface[mine[0]].clone()
     still = type(split)(**{**vars(split), "surface": surface})
-    with pytest.raises(UnfitData, match="no training object tell"):
+    with pytest.raises(UnfitData, match="in no training object do the poses show"):
         discovered(still, tmp_path, WAYS)

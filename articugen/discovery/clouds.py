@@ -24,8 +24,8 @@ _ACROSS = 0.008  # planes so near may be the same
 _COLUMNS, _FEW_IN_SIGHT = 32, 0.05  # see `_in_sight`
 
 _TELLING, _COMMON = 4, 0.55
-"""Of so many poses or more, what this share of the others has at the same place is no news; of
-fewer, what was out of sight in pose 0."""
+"""Of the first many poses or more, what the second share of the others has at the same place is no
+news; of fewer, what was out of sight in pose 0."""
 _NEAR = np.array([0.008, 0.05])
 
 
@@ -39,9 +39,9 @@ def cell_of(cloud: Floats) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """`points` (n, 3) with unit `normals` (n, 3), zeros where none can be told, and how well each
-    tells of a shift, `stiffness` (n, 3, 3). Where `signed`, normals point out of the material, else
-    either way."""
+    """`points` (n, 3) with unit `normals` (n, 3), zeros where none is known, and how well each
+    determines a shift, `stiffness` (n, 3, 3). Where `signed`, normals point out of the material,
+    else either way."""
 
     points: Floats
     normals: Floats
@@ -62,8 +62,8 @@ class Surface:
         return Surface(points, normals, np.broadcast_to(np.eye(3), (len(points), 3, 3)), signed)
 
     def shaped(self, of: "Cells", near: float) -> "Surface":
-        """With what the cloud `of` (one pose) around the points tells; normals that are known
-        stay."""
+        """Return the surface with normals and stiffness by the cloud `of` (one pose) around the
+        points; normals that are known stay."""
         normals, stiffness = kernels.shapes(self.points, of.points, of.starts, 1.8 * near)
         return replace(self, normals=self.normals if self.signed else normals, stiffness=stiffness)
 
@@ -101,7 +101,7 @@ class Cells:
         return len(self.starts)
 
     def within(self, reach: float) -> NDArray[np.uint8]:
-        """Return (G, VOTES^3) the bits by which `kernels.is_void` tells what is out of reach."""
+        """Return (G, VOTES^3) the bits by which `kernels.is_void` knows what is out of reach."""
         steps = int(np.ceil(reach * kernels.VOTES))
         if steps not in self._within:
             marks = self._marks()
@@ -116,12 +116,12 @@ class Cells:
         i, j, k = np.clip(((self.points + 0.5) * R).astype(np.int64), 0, R - 1).T
         cell = (i * R + j) * R + k
         for pose, starts in enumerate(self.starts):
-            mine = cell[starts[0] : starts[-1]]
-            marks[pose // 8, mine] |= np.uint8(1 << pose % 8)
+            cells = cell[starts[0] : starts[-1]]
+            marks[pose // 8, cells] |= np.uint8(1 << pose % 8)
         return marks
 
     def _of(self, surface: Surface, *of_each: Any, reach: float) -> tuple[Any, ...]:
-        """What the kernels ask for."""
+        """Return the arguments of the kernels."""
         return (
             surface.points, surface.normals, *of_each, self.points, self.normals, self.signed,
             self.starts, self.within(reach), reach, self.across(reach),
@@ -147,13 +147,13 @@ class Cells:
         surface: Surface,
         motions: Floats,
         reach: float,
-        asked: NDArray[np.bool_] | None = None,
+        wanted: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.bool_]:
         """Return (K, n) whether points, moved by `motions` (K, 3, 4), lie on each pose; False where
-        that is not `asked` (K, n)."""
-        if asked is None:
-            asked = np.ones((len(motions), len(surface)), np.bool_)
-        return kernels.met(*self._of(surface, asked, motions, reach=reach))
+        that is not `wanted` (K, n)."""
+        if wanted is None:
+            wanted = np.ones((len(motions), len(surface)), np.bool_)
+        return kernels.met(*self._of(surface, wanted, motions, reach=reach))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +191,13 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
             nothing moves; normals are not one for each point.
     """
-    given = _checked(poses)
-    low = np.min([cloud.min(0) for cloud in given], axis=0)
-    high = np.max([cloud.max(0) for cloud in given], axis=0)
+    sound = _checked(poses)
+    low = np.min([cloud.min(0) for cloud in sound], axis=0)
+    high = np.max([cloud.max(0) for cloud in sound], axis=0)
     size = max(float((high - low).max()), 1e-12) / _EDGE
     frame = Normalization((low + high) / 2.0, size)
     rng = np.random.default_rng(0)
-    surfaces = _with_normals([frame.to_unit(cloud) for cloud in given], normals)
+    surfaces = _with_normals([frame.to_unit(cloud) for cloud in sound], normals)
     clouds = tuple(_thinned(surface, rng) for surface in surfaces)
     points = [cloud.points for cloud in clouds]
     first = Cells.of([Surface.bare(points[0])])
@@ -227,7 +227,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     stays = Cells.of([start[~movers]], near)
     new = [_new(surface, stays, near) for surface in surfaces]
     if len(new) < _TELLING:
-        telling = [each[_in_sight(each.points, points[0])] for each in new]
+        telling = [shown[_in_sight(shown.points, points[0])] for shown in new]
     else:
         telling = _rare(new, searched, near)
     targets = Cells.of(telling, near)
@@ -235,7 +235,8 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
 
 
 def widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
-    """Grids (G, R, R, R) of bits, with those of all that is so many cells away along each axis."""
+    """Return grids (G, R, R, R) of bits with those of all cells up to `reach` away along each
+    axis."""
     for axis in (1, 2, 3):
         wider = bits.copy()
         before, after = np.moveaxis(bits, axis, 0), np.moveaxis(wider, axis, 0)
@@ -277,8 +278,8 @@ def _with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> li
     points = [np.ascontiguousarray(cloud) for cloud in clouds]
     if normals is None:
         return [Surface.bare(cloud) for cloud in points]
-    outward = [np.ascontiguousarray(each, np.float64) for each in normals]
-    shapes = [each.shape for each in outward]
+    outward = [np.ascontiguousarray(normal, np.float64) for normal in normals]
+    shapes = [normal.shape for normal in outward]
     if shapes != [cloud.shape for cloud in points]:
         raise InvalidArgument(f"normals of shapes {shapes} are not one for each point")
     return [Surface.bare(*both) for both in zip(points, outward, strict=True)]
@@ -291,7 +292,8 @@ def _thinned(cloud: Surface, rng: np.random.Generator) -> Surface:
 
 
 def _left(clouds: Sequence[Floats], near: float) -> Floats:
-    """(K - 1,) of some points of pose 0, which share has no matter of each other pose near it."""
+    """Return (K - 1,) the share of some points of pose 0 that have no matter of each other pose
+    near them."""
     some = Surface.bare(np.ascontiguousarray(clouds[0][:: max(len(clouds[0]) // 1000, 1)]))
     return np.array(
         [(~Cells.of([Surface.bare(c)]).met(some, still(1), near)).mean() for c in clouds[1:]]
@@ -308,29 +310,30 @@ def _spread(left: Floats) -> NDArray[np.intp]:
 
 
 def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats:
-    """(n,) which share of the points around each has its flag set; its own does not count."""
+    """Return (n,) the share of the points around each one that have their flag set; its own does
+    not count."""
     cells = Cells.of([Surface.bare(cloud)])
     values = flags[np.argsort(cell_of(cloud), kind="stable")].astype(np.float64)
-    found = kernels.about(cloud, values, cells.points, cells.starts, 1.5 * near, True)
-    return found[:, 1] / np.maximum(found[:, 0], 1.0)
+    about = kernels.about(cloud, values, cells.points, cells.starts, 1.5 * near, True)
+    return about[:, 1] / np.maximum(about[:, 0], 1.0)
 
 
 def _new(surface: Surface, stays: Cells, near: float) -> Surface:
-    """The points of a pose that are where nothing stays, as most of those around them are."""
+    """Return points of a pose that are where nothing stays, as most of those around them are."""
     far = ~stays.met(surface, still(1), near)[0]
     return surface[far & (_share_about(surface.points, far, near) > 0.4)]
 
 
 def _in_sight(points: Floats, cloud: Floats) -> NDArray[np.bool_]:
-    """(n,) whether points would be in sight of one who looks at a cloud along the axes, from either
-    side: what is new elsewhere may have been there all the time, behind a door or under a lid.
-    True of all where it would be of next to none."""
+    """Return (n,) whether points would be in sight of a viewer along an axis of the cloud, from
+    either side: what is new elsewhere may have been there all the time, behind a door or under a
+    lid. True of all where it would be of next to none."""
     R, visible = _COLUMNS, np.zeros(len(points), bool)
     for axis in range(3):
         across = [other for other in range(3) if other != axis]
         column, of = (
-            tuple(np.clip((each[:, across].T + 0.5) * R, 0, R - 1).astype(int))
-            for each in (cloud, points)
+            tuple(np.clip((some[:, across].T + 0.5) * R, 0, R - 1).astype(int))
+            for some in (cloud, points)
         )
         for sign in (1.0, -1.0):
             depth = np.full((R, R), -np.inf)
@@ -342,8 +345,8 @@ def _in_sight(points: Floats, cloud: Floats) -> NDArray[np.bool_]:
 
 
 def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
-    """What is new in each pose without what most of the others have at the same place: insides that
-    an open door or drawer shows, which say nothing of how far it has moved."""
+    """Return what is new in each pose without what most of the others have at the same place:
+    insides that an open door or drawer shows, which say nothing of how far it has moved."""
     others = [poses.met(surface, still(len(new)), near).sum(0) - 1 for surface in new]
     return [
         surface[there <= _COMMON * (len(new) - 1)]

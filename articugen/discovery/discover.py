@@ -123,12 +123,12 @@ def discover(
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
             nothing moves; normals are not one for each point.
     """
-    seen = change(poses, normals)
-    found = _Found(seen, kinds, directions or {})
-    found.look_for_joints()
-    joints = found.settled()
+    what = change(poses, normals)
+    search = _Found(what, kinds, directions or {})
+    search.look_for_joints()
+    joints = search.settled()
     outward = None if normals is None else np.asarray(normals[0], np.float64)
-    return _told(seen, joints, np.asarray(poses[0], np.float64), outward)
+    return _told(what, joints, np.asarray(poses[0], np.float64), outward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,13 +162,13 @@ def _alike(one: _Grown, other: _Grown) -> bool:
 class _Found:
     """The search for joints, and what it has found so far."""
 
-    def __init__(self, seen: Change, kinds: Collection[JointKind], directions: Directions) -> None:
-        self.seen, self.kinds = seen, kinds
-        self.directions = {kind: _unlike(each) for kind, each in directions.items()}
-        self.search = Search(seen)
-        self.movers = some(np.flatnonzero(seen.movers), _MOVERS)
-        self.part = seen.start[self.movers]
-        self.gone = seen.gone[:, self.movers]
+    def __init__(self, what: Change, kinds: Collection[JointKind], directions: Directions) -> None:
+        self.change, self.kinds = what, kinds
+        self.directions = {kind: _unlike(axes) for kind, axes in directions.items()}
+        self.search = Search(what)
+        self.movers = some(np.flatnonzero(what.movers), _MOVERS)
+        self.part = what.start[self.movers]
+        self.gone = what.gone[:, self.movers]
         self.left = np.ones(len(self.movers), bool)
         self.joints: list[_Grown] = []
 
@@ -204,9 +204,9 @@ class _Found:
         known = self.directions.get(kind)
         if known is not None and np.abs(known @ grown.joint.axis).max() <= LEAN:
             return -1.0
-        mine = grown.follow & self.left[among]
-        gain = grown.right[:, mine].sum() - 2.0 * grown.wrong[:, mine].sum()
-        return float(gain * self._liking(grown.joint, self.part.points[among][mine]))
+        movers = grown.follow & self.left[among]
+        gain = grown.right[:, movers].sum() - 2.0 * grown.wrong[:, movers].sum()
+        return float(gain * self._liking(grown.joint, self.part.points[among][movers]))
 
     def _liking(self, joint: Candidate, points: Floats) -> float:
         """Return by how much it is preferred to others that explain as much of its points."""
@@ -218,8 +218,8 @@ class _Found:
         return 1.0 - _FAR_TURNS * float(np.abs(joint.states).mean()) - _FAR_AXES * away
 
     def _patches(self) -> list[NDArray[np.intp]]:
-        """Of the movers that nothing explains yet: patches of neighbours about points that are far
-        from one another, and some of all."""
+        """Return patches of neighbours among the movers that nothing explains yet, about points
+        that are far from one another, and some of all."""
         free = np.flatnonzero(self.left)
         points = self.part.points[free]
         far = np.full(len(free), np.inf)
@@ -236,9 +236,9 @@ class _Found:
     def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
         """Return the candidates that patches vote for, each fitted to its patch; the best of them
         that are not alike grow."""
-        reach = 2.0 * self.seen.near
+        reach = 2.0 * self.change.near
         seeds = [
-            fitted(joint, self.part[some(patch, 60)], self.seen.targets, reach, 3)
+            fitted(joint, self.part[some(patch, 60)], self.change.targets, reach, 3)
             for patch in patches
             for joint in self._voted(patch)
         ]
@@ -256,14 +256,19 @@ class _Found:
         if JointKind.REVOLUTE in self.kinds:
             axes = self.directions.get(JointKind.REVOLUTE, np.eye(3))
             turns = [turn for axis in axes for turn in self.search.turns(which, axis, 3)]
-            voted += sorted(turns, key=lambda each: -each[0])[:4]
+            voted += sorted(turns, key=lambda vote: -vote[0])[:4]
         if JointKind.PRISMATIC in self.kinds:
             ways = self.directions.get(JointKind.PRISMATIC, EVERY_WAY)
             voted += self.search.slides(which, ways, 2)
         return [joint for _, joint in voted]
 
     def _grow(self, seed: _Grown) -> _Grown:
-        near, targets, joint, follow = self.seen.near, self.seen.targets, seed.joint, seed.follow
+        near, targets, joint, follow = (
+            self.change.near,
+            self.change.targets,
+            seed.joint,
+            seed.follow,
+        )
         for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
             core = some(np.flatnonzero(follow & self.left), _CORE)
             if len(core) < 12:
@@ -283,11 +288,11 @@ class _Found:
         if not grown.joint.turns or np.abs(grown.joint.axis[nearest]) > _BESIDE:
             axis = np.eye(3)[nearest] * np.sign(grown.joint.axis[nearest])
             tried.append(self._revoted(replace(grown.joint, axis=axis), core, tilts=False))
-        gains = [self._gain(each) * (1.0, 1.0, _PLAIN)[n] for n, each in enumerate(tried)]
+        gains = [self._gain(joint) * (1.0, 1.0, _PLAIN)[n] for n, joint in enumerate(tried)]
         return replace(tried[int(np.argmax(gains))], polished=True)
 
     def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
-        near, poses = self.seen.near, self.seen.poses
+        near, poses = self.change.near, self.change.poses
         wide = max(near, _WIDE)
         best = None
         for _ in range(3):
@@ -306,13 +311,13 @@ class _Found:
         return best
 
     def _explained(self, joint: Candidate, reach: float, among: slice = _ALL) -> _Grown:
-        """What a candidate explains of the movers: where a point has left and lands on something
-        new it is right, where it lands on nothing it is wrong; what was hidden in pose 0 and is
-        there in most others says neither."""
+        """Return what a candidate explains of the movers: where a point has left and lands on
+        something new it is right, where it lands on nothing it is wrong; what was hidden in pose 0
+        and is there in most others says neither."""
         M, part, gone = motions(joint), self.part[among], self.gone[:, among]
-        right = self.seen.targets.met(part, M, reach, gone)
+        right = self.change.targets.met(part, M, reach, gone)
         wrong = gone & ~right  # what is new in a pose is of it
-        wrong &= ~self.seen.poses.met(part, M, reach, wrong)
+        wrong &= ~self.change.poses.met(part, M, reach, wrong)
         left = np.maximum(gone.sum(0), 1)
         follow = (wrong.sum(0) <= _WRONG * left) & (right.sum(0) >= _RIGHT * left)
         return _Grown(joint, right, wrong, follow)
@@ -322,11 +327,11 @@ class _Found:
         needs are dropped."""
         joints = self._needed([grown.joint for grown in self.joints])
         for _ in range(2):
-            shares = _agreement(self.seen, joints, self.part).mean(1)
+            shares = _agreement(self.change, joints, self.part).mean(1)
             best = shares.argmax(0)
             for j, joint in enumerate(joints):
-                mine = np.flatnonzero((best == j + 1) & (shares[j + 1] >= _AGREES))
-                core = some(mine, 400)
+                points = np.flatnonzero((best == j + 1) & (shares[j + 1] >= _AGREES))
+                core = some(points, 400)
                 if len(core) >= 12:
                     joints[j] = self._refitted(joint, core)
             joints = self._needed(joints)
@@ -335,7 +340,7 @@ class _Found:
     def _refitted(self, joint: Candidate, core: NDArray[np.intp]) -> Candidate:
         """Fitted to these points; a slide along the coordinate axis beside its own, where that
         agrees with them as well."""
-        part, poses, near = self.part[core], self.seen.poses, self.seen.near
+        part, poses, near = self.part[core], self.change.poses, self.change.near
 
         def refit(joint: Candidate, tilts: bool) -> tuple[Candidate, int]:
             for reach in (2.5, 1.5, 1.0, 1.0):
@@ -354,7 +359,7 @@ class _Found:
         """Without those that explain too little that no other joint does."""
         joints = list(joints)
         while joints:
-            hits = (_agreement(self.seen, joints, self.part)[1:] & self.gone).sum(1)
+            hits = (_agreement(self.change, joints, self.part)[1:] & self.gone).sum(1)
             others = [np.delete(hits, j, axis=0).max(0, initial=0) for j in range(len(joints))]
             whole = np.where(hits >= others, hits, 0).sum(1)
             alone = np.maximum(hits - others, 0).sum(1)
@@ -364,51 +369,52 @@ class _Found:
             if needed.min() >= 1.0:
                 break
             liked = [
-                self._liking(joint, self.part.points[mine > 0]) * mine.sum()
-                for joint, mine in zip(joints, hits, strict=True)
+                self._liking(joint, self.part.points[hit > 0]) * hit.sum()
+                for joint, hit in zip(joints, hits, strict=True)
             ]
             joints.pop(int(np.where(needed < 1.0, liked, np.inf).argmin()))
         return joints
 
 
-def _agreement(seen: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
-    """(1 + J, S, n) whether points agree with what stays, and with each joint, in each pose."""
-    return np.array([seen.poses.met(surface, M, seen.near) for M in _moved(seen, joints)])
+def _agreement(what: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
+    """Return (1 + J, S, n) whether points agree with what stays, and with each joint, in each
+    pose."""
+    return np.array([what.poses.met(surface, M, what.near) for M in _moved(what, joints)])
 
 
-def _moved(seen: Change, joints: list[Candidate]) -> list[Floats]:
+def _moved(what: Change, joints: list[Candidate]) -> list[Floats]:
     """Return (S, 3, 4) what stays and what each joint moves in the searched poses."""
-    return [still(len(seen.chosen)), *(motions(joint) for joint in joints)]
+    return [still(len(what.chosen)), *(motions(joint) for joint in joints)]
 
 
 def _told(
-    seen: Change, joints: list[Candidate], points: Floats, outward: Floats | None
+    what: Change, joints: list[Candidate], points: Floats, outward: Floats | None
 ) -> Discovery:
     """Labels, states of all poses and scores, in the frame of the clouds."""
-    cloud = np.ascontiguousarray(seen.frame.to_unit(points))
-    surface = Surface.bare(cloud, outward).shaped(seen.first, seen.near)
-    part = _labels(seen, joints, surface)
+    cloud = np.ascontiguousarray(what.frame.to_unit(points))
+    surface = Surface.bare(cloud, outward).shaped(what.first, what.near)
+    part = _labels(what, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
-    others = Cells.of(seen.clouds[1:], seen.near)
+    others = Cells.of(what.clouds[1:], what.near)
     parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
-    told = [_joint(seen, others, joint, mine) for joint, mine in parts]
+    complete = [_joint(what, others, joint, of_part) for joint, of_part in parts]
     number = np.zeros(len(joints) + 1, np.int64)
     number[1 + order] = 1 + np.arange(len(joints))
-    return Discovery(tuple(told), points, number[part])
+    return Discovery(tuple(complete), points, number[part])
 
 
-def _labels(seen: Change, joints: list[Candidate], surface: Surface) -> Ints:
+def _labels(what: Change, joints: list[Candidate], surface: Surface) -> Ints:
     """Return (n,) of each point what leaves it nearest to the poses; where that is a tie, as most
     of its neighbours that are sure."""
     if not joints:
         return np.zeros(len(surface), np.int64)
-    far = [seen.poses.distances(surface, M, seen.near) for M in _moved(seen, joints)]
-    cost = np.minimum(far, seen.near).mean(1) / seen.near
+    far = [what.poses.distances(surface, M, what.near) for M in _moved(what, joints)]
+    cost = np.minimum(far, what.near).mean(1) / what.near
     cost[1:] += _STAYS
     best = cost.argmin(0)
     ranked = np.sort(cost, axis=0)
     sure = ranked[1] - ranked[0] >= _SURE
-    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, seen.near)
+    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, what.near)
     return np.where(sure, best, about)
 
 
@@ -430,20 +436,20 @@ def _as_neighbours(
     return np.where(votes.sum(0) > 0, votes.argmax(0), label)
 
 
-def _joint(seen: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
+def _joint(what: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
     """Return the joint in the clouds' frame, with the states of all `others` than pose 0."""
     core = part[some(np.arange(len(part)), 250)]
-    states = np.concatenate([[0.0], states_of(joint, core, others, seen.near)])
+    states = np.concatenate([[0.0], states_of(joint, core, others, what.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
-    gone = ~seen.poses.met(core, still(len(seen.chosen)), seen.near)
-    new = seen.targets.met(core, motions(joint), seen.near)
+    gone = ~what.poses.met(core, still(len(what.chosen)), what.near)
+    new = what.targets.met(core, motions(joint), what.near)
     pivot = middle = part.points.mean(0)
     if joint.turns:
         pivot = joint.pivot + ((middle - joint.pivot) @ joint.axis) * joint.axis
     return FoundJoint(
         kind=JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC,
         axis=sign * joint.axis,
-        pivot=seen.frame.to_world(pivot),
-        states=sign * states * (1.0 if joint.turns else seen.frame.scale),
+        pivot=what.frame.to_world(pivot),
+        states=sign * states * (1.0 if joint.turns else what.frame.scale),
         score=float((gone & new).sum() / max(gone.sum(), 1)),
     )

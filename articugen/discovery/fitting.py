@@ -16,7 +16,7 @@ _DAMPED = {True: 1e-4, False: 2e-2}
 
 STEPS = 160
 _FEW = {True: 80, False: 160}
-"""So many points of a part say roughly where it may lie, with and without known normals."""
+"""Points of a part that say roughly where it may lie, with and without known normals."""
 
 _PEAKS = 3  # of each pose so many states are made exact, before the best is taken
 
@@ -31,7 +31,7 @@ def fitted(
     tilts: bool = True,
     states_alone: bool = False,
 ) -> Candidate:
-    """Return the joint after so many rounds of Gauss and Newton's method, damped a little.
+    """Return the joint after `rounds` rounds of Gauss and Newton's method, damped a little.
 
     Args:
         part: in pose 0.
@@ -39,10 +39,10 @@ def fitted(
         tilts: whether the axis may.
         states_alone: or everything but the states is kept.
     """
-    held = 4 if states_alone else 0 if tilts else 2
+    fixed = 4 if states_alone else 0 if tilts else 2
     axis, pivot, states = joint.axis.copy(), joint.pivot.copy(), np.array(joint.states, np.float64)
     gauss_newton.fit(
-        part.points, part.normals, part.stiffness, joint.turns, axis, pivot, states, held, rounds,
+        part.points, part.normals, part.stiffness, joint.turns, axis, pivot, states, fixed, rounds,
         _DAMPED[joint.turns], cells.points, cells.normals, cells.signed, cells.starts,
         cells.within(reach), reach, cells.across(reach),
     )  # fmt: skip
@@ -58,22 +58,22 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
         steps = np.linspace(-1.0, 1.0, STEPS + 1)
     few = part[some(np.arange(len(part)), _FEW[part.signed])]
     heights = cells.agreement(few, motions(joint, steps), 1.5 * near)
-    found, fit = [], []
+    fits, fit = [], []
     for _ in range(_PEAKS):
         peak = heights.argmax(1)
         close = replace(joint, states=steps[peak])
         for reach in (2.0 * near, near):
             close = fitted(close, few, cells, reach, 4, states_alone=True)
-        found.append(close.states)
+        fits.append(close.states)
         fit.append(cells.agreement(few, motions(close)[:, None], near)[:, 0])
         for k, at in enumerate(peak):
             heights[k, max(at - 2, 0) : at + 3] = -1.0
-    best = replace(joint, states=np.choose(np.argmax(fit, axis=0), found))
+    best = replace(joint, states=np.choose(np.argmax(fit, axis=0), fits))
     return fitted(best, part, cells, near, 8, states_alone=True).states
 
 
 def some(which: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """At most so many of the indices, evenly."""
+    """Return at most `most` of the indices, evenly."""
     if len(which) <= most:
         return which
     return which[np.linspace(0, len(which) - 1, most).round().astype(int)]

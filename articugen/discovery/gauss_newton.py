@@ -69,8 +69,8 @@ def _cross_into(out, a, b):
 
 @helper
 def _add(B, W, weight, rest, H, g, k):
-    """A point's share of the equations: its gradients B (5, 3) and its distance `rest` (3,), both
-    in the frame of pose 0, by its stiffness W (3, 3)."""
+    """Add a point's share of the equations: its gradients B (5, 3) and its distance `rest` (3,),
+    both in the frame of pose 0, by its stiffness W (3, 3)."""
     for u in range(SHARED + 1):
         s0 = weight * (W[0, 0] * B[u, 0] + W[0, 1] * B[u, 1] + W[0, 2] * B[u, 2])
         s1 = weight * (W[1, 0] * B[u, 0] + W[1, 1] * B[u, 1] + W[1, 2] * B[u, 2])
@@ -124,11 +124,11 @@ def _equations(
 
 
 @helper
-def _damp(H, g, held, damped):
-    """Hold the first `held` unknowns, and all others back a little."""
+def _damp(H, g, fixed, damped):
+    """Hold the first `fixed` unknowns, and all others back a little."""
     most = 1e-9
     for u in range(len(g)):
-        if u < held:
+        if u < fixed:
             g[u] = 0.0
             H[u, :] = 0.0
             for v in range(u, len(g)):
@@ -190,7 +190,7 @@ def _cholesky(S, b):
 
 @helper
 def _take(turns, a, c, across, step, states):
-    """The step, taken in place."""
+    """Take the step, in place."""
     length = 0.0
     w, turned = np.zeros(3), np.zeros(3)
     for r in range(3):
@@ -211,16 +211,16 @@ def _take(turns, a, c, across, step, states):
 
 @kernel
 def fit(
-    queries, query_normals, stiffness, turns, axis, pivot, states, held, rounds, damped,
+    queries, query_normals, stiffness, turns, axis, pivot, states, fixed, rounds, damped,
     points, normals, signed, starts, within, reach, width,
 ):  # fmt: skip
-    """The joint after at most so many rounds, in place.
+    """Fit the joint in place, in a limited number of rounds.
 
     Args:
         queries, query_normals, stiffness: (m, 3), (m, 3), (m, 3, 3) of pose 0.
         turns: whether it is a revolute joint.
         axis, pivot, states: (3,), (3,), (K,); changed.
-        held: so many of the shared unknowns are kept.
+        fixed: number of the shared unknowns that are kept.
         damped: by this share of itself each unknown is held back.
         within: as in `kernels.is_void`, for `reach`; `width` is `across` of `kernels`.
     """
@@ -233,7 +233,7 @@ def fit(
             queries, query_normals, stiffness, turns, axis, pivot, across, states,
             points, normals, signed, starts, within, reach, width, H, g,
         )  # fmt: skip
-        _damp(H, g, held, damped)
+        _damp(H, g, fixed, damped)
         _solve(H, g, step)
         _take(turns, axis, pivot, across, step, states)
         most = 0.0

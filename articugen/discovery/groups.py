@@ -3,7 +3,7 @@
 All poses of an object share the surface of its fixed part exactly, as an object has one frame, and
 no other object has that surface. So a cloud becomes a set of tokens: which cell of a coarse grid a
 point lies in, which way the surface faces there, and how far across the cell it lies, in steps of a
-thousandth. Offsets must be fine and cells large to tell objects apart. Instances are alike as they
+thousandth. Offsets must be fine and cells large to distinguish objects. Instances are alike as they
 have tokens in common, over the geometric mean of how many they have (Ochiai 1957), and are joined
 by average linkage (the nearest-neighbour chain: Murtagh 1983).
 """

@@ -106,8 +106,8 @@ def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, a
 def distances(
     queries, query_normals, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """(K, n) the distance of each query point, moved as in each pose, from what may be of the same
-    surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4), `within` as in `is_void`."""
+    """Return (K, n) distance of each query point, moved as in each pose, from what may be of the
+    same surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4), `within` as in `is_void`."""
     out = np.full((len(motions), len(queries)), FAR, np.float32)
     for k in range(len(motions)):
         for i in range(len(queries)):
@@ -135,8 +135,8 @@ def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, ac
     a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
     c = int(np.floor((z + 0.5) * CELLS))
     if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
-        own = (a * CELLS + b) * CELLS + c
-        for m in range(starts[pose, own], starts[pose, own + 1]):
+        cell = (a * CELLS + b) * CELLS + c
+        for m in range(starts[pose, cell], starts[pose, cell + 1]):
             n = np.uintp(m)
             if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
                 return True
@@ -151,15 +151,15 @@ def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, ac
 
 @kernel
 def met(
-    queries, query_normals, asked, motions, points, normals, signed, starts, within, reach, across
+    queries, query_normals, wanted, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
     """Return (K, n) whether each query point, moved as in each pose, lies on what may be of the
-    same surface in that pose; False where it is not `asked` (K, n). `motions` (K, 3, 4), `within`
+    same surface in that pose; False where it is not `wanted` (K, n). `motions` (K, 3, 4), `within`
     as in `is_void`."""
-    out = np.zeros(asked.shape, np.bool_)
+    out = np.zeros(wanted.shape, np.bool_)
     for k in range(len(motions)):
         for i in range(len(queries)):
-            if not asked[k, i]:
+            if not wanted[k, i]:
                 continue
             x, y, z, nx, ny, nz = moved(motions[k], queries[i], query_normals[i])
             if not is_void(within, k, x, y, z):
@@ -189,7 +189,8 @@ def about(queries, values, points, starts, reach, skip_self):
 
 @kernel
 def spacing(queries, points, starts, reach):
-    """(n,) how far the nearest other point of the same cloud is; `reach` where none is nearer."""
+    """Return (n,) how far the nearest other point of the same cloud is; `reach` where none is
+    nearer."""
     out = np.empty(len(queries))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
@@ -239,8 +240,8 @@ def _is_near(points, starts, pose, x, y, z, reach):
 def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
     """Jacobi's rotations of the symmetric (3, 3) covariance `C`, which is destroyed: into `normal`
     (3,) the direction of least variance, zeros where that is not much less than the others; into
-    `stiffness` (3, 3) how well the points tell of a shift: 1 along directions in which they spread
-    little, ALONG where they spread most."""
+    `stiffness` (3, 3) how well the points determine a shift: 1 along directions in which they
+    spread little, ALONG where they spread most."""
     V = np.eye(3)
     for _ in range(8):
         for p in range(2):
@@ -280,8 +281,8 @@ def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
 
 @kernel
 def shapes(queries, points, starts, reach):
-    """Of what is within `reach` of each query: (n, 3) the unit normal, of either sign, of the plane
-    through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
+    """Return shape of what is within `reach` of each query: (n, 3) the unit normal, of either sign,
+    of the plane through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
     out, stiffness = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
     C = np.zeros((3, 3))
     for i in range(len(queries)):
@@ -316,7 +317,7 @@ def shapes(queries, points, starts, reach):
 
 @kernel
 def votes(turned, offsets, weights, grid):
-    """For each of C candidates and each of eight poses, the step at which most points land.
+    """Return the step at which most points land, for each of C candidates and each of eight poses.
 
     Args:
         turned: (T, 3, m) float32, the points at each of T steps, in cells of `grid`: coordinate by

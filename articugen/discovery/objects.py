@@ -29,7 +29,7 @@ PIVOT, AXIS = 0.03, 5.0  # a joint is right within these: unit frame, degrees
 
 @dataclass(frozen=True)
 class Judged:
-    """How a data set's object agrees with what was found: of all its joints, so many.
+    """Agreement of an object's joints with a discovery: how many of all are right.
 
     Attributes:
         count: as many joints were found as there are.
@@ -50,8 +50,8 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class ObjectJoints:
-    """What was found of one object: a discovery, or `why` there is none; `judged` where the truth
-    is known; `seconds` of one core."""
+    """Joints of one object: a discovery, or `why` there is none; `judged` where the truth is known;
+    `seconds` of one core."""
 
     object_id: str
     found: Discovery | None
@@ -95,7 +95,7 @@ def discover_all(
 
     Args:
         data: a data set, its folder or one of its shards.
-        poses: so many of each object's instances, the first ones; None is all.
+        poses: how many of each object's instances, the first ones; None is all.
         joints: as for `discover`.
         on_object: called for each object, with the number of all.
 
@@ -110,14 +110,14 @@ def discover_all(
         rows = list(data.of(object_id)[:poses])
         clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
         normals = [np.asarray(row.surface.normals, np.float64) for row in rows]
-        began, why, found = time.process_time(), "", None
+        began, why, outcome = time.process_time(), "", None
         try:
-            found = discovery.discover(clouds, normals=normals, kinds=kinds)
+            outcome = discovery.discover(clouds, normals=normals, kinds=kinds)
         except InvalidArgument as error:
             why = str(error)
         took = time.process_time() - began
-        judged = _judged(found, rows)
-        all_found.append(ObjectJoints(object_id, found, why, judged, took))
+        judged = _judged(outcome, rows)
+        all_found.append(ObjectJoints(object_id, outcome, why, judged, took))
         on_object(all_found[-1], len(data.objects))
     return all_found
 
@@ -196,47 +196,50 @@ def _cloud(pose: Pose) -> Floats:
     return (np.argwhere(filled & ~inner) - 0.5) / max(array.shape) - 0.5
 
 
-def _judged(found: Discovery | None, rows: Sequence[Row]) -> Judged:
-    """What was found beside the truth of the rows, the first of which is pose 0."""
+def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
+    """Judge a discovery by the truth of the rows, the first of which is pose 0."""
     truth, first = rows[0].joints, rows[0]
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
-    if found is None:
+    if discovery is None:
         return Judged(not truth, False, False, False, False, None, None)
-    of = _matched(found, first.surface.part, len(truth))
+    of = _matched(discovery, first.surface.part, len(truth))
     kind, axis, pivot, near = True, True, True, True
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
-        mine = found.joints[of[j]] if j in of else None
-        if mine is None or str(mine.kind) != true.kind:
+        match = discovery.joints[of[j]] if j in of else None
+        if match is None or str(match.kind) != true.kind:
             kind = axis = pivot = near = False
             continue
-        along = float(mine.axis @ true.axis)
+        along = float(match.axis @ true.axis)
         axis &= bool(np.degrees(np.arccos(min(abs(along), 1.0))) <= AXIS)
-        if mine.kind == JointKind.REVOLUTE:
-            pivot &= axes_apart(mine, true.axis, true.pivot) <= PIVOT
-        off = float(np.abs(np.sign(along) * mine.states - states[:, j] + states[0, j]).mean())
-        near &= bool(off <= (np.radians(AXIS) if mine.kind == JointKind.REVOLUTE else PIVOT))
+        if match.kind == JointKind.REVOLUTE:
+            pivot &= axes_apart(match, true.axis, true.pivot) <= PIVOT
+        off = float(np.abs(np.sign(along) * match.states - states[:, j] + states[0, j]).mean())
+        near &= bool(off <= (np.radians(AXIS) if match.kind == JointKind.REVOLUTE else PIVOT))
         errors[true.kind].append(off)
-    mean = {name: float(np.mean(each)) if each else None for name, each in errors.items()}
-    count = len(found.joints) == len(truth)
+    mean = {name: float(np.mean(some)) if some else None for name, some in errors.items()}
+    count = len(discovery.joints) == len(truth)
     return Judged(count, kind, axis, pivot, near, mean["revolute"], mean["prismatic"])
 
 
-def axes_apart(found: FoundJoint, axis: Floats, pivot: Floats) -> float:
+def axes_apart(joint: FoundJoint, axis: Floats, pivot: Floats) -> float:
     """Return how far a found axis is from a true one, beside the part that it turns."""
-    there = pivot + ((found.pivot - pivot) @ axis) * axis
-    off = there - found.pivot
-    return float(np.linalg.norm(off - (off @ found.axis) * found.axis))
+    there = pivot + ((joint.pivot - pivot) @ axis) * axis
+    off = there - joint.pivot
+    return float(np.linalg.norm(off - (off @ joint.axis) * joint.axis))
 
 
-def _matched(found: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
-    """For true joints the found one whose part has most points in common, each once."""
+def _matched(discovery: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
+    """Match true joints with found ones by the number of points their parts have in common."""
     common = np.array(
         [
-            [((part == j + 1) & (found.part == f + 1)).sum() for f in range(len(found.joints))]
+            [
+                ((part == j + 1) & (discovery.part == f + 1)).sum()
+                for f in range(len(discovery.joints))
+            ]
             for j in range(joints)
         ]
-    ).reshape(joints, len(found.joints))
+    ).reshape(joints, len(discovery.joints))
     of: dict[int, int] = {}
     while common.size and common.max() > 0:
         j, f = np.unravel_index(int(common.argmax()), common.shape)
@@ -245,7 +248,7 @@ def _matched(found: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[
     return of
 
 
-def as_json(found: Discovery | None) -> list[dict[str, Any]]:
+def as_json(discovery: Discovery | None) -> list[dict[str, Any]]:
     """Return the joints as plain numbers and texts."""
     return [
         {
@@ -254,21 +257,21 @@ def as_json(found: Discovery | None) -> list[dict[str, Any]]:
             "pivot": joint.pivot.tolist(),
             "states": joint.states.tolist(),
             "score": joint.score,
-            "points": int((found.part == j + 1).sum()),
+            "points": int((discovery.part == j + 1).sum()),
         }
-        for j, joint in enumerate(found.joints)
-    ] if found else []  # fmt: skip
+        for j, joint in enumerate(discovery.joints)
+    ] if discovery else []  # fmt: skip
 
 
 def share(objects: Sequence[ObjectJoints], name: str) -> float:
-    """Of the objects, the share of which all joints are right in `name` of `Judged`."""
-    return float(np.mean([getattr(each.judged, name) for each in objects])) if objects else 0.0
+    """Return the share of objects all of whose joints are right in `name` of `Judged`."""
+    return float(np.mean([getattr(one.judged, name) for one in objects])) if objects else 0.0
 
 
 def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
     """Return the mean of `turned` or `slid` over the objects that have it."""
-    each = [getattr(o.judged, name) for o in objects if getattr(o.judged, name) is not None]
-    return float(np.mean(each)) if each else None
+    values = [getattr(o.judged, name) for o in objects if getattr(o.judged, name) is not None]
+    return float(np.mean(values)) if values else None
 
 
 def check_poses(paths: Sequence[Path], *, groups: bool = False) -> None:

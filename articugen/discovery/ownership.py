@@ -2,8 +2,8 @@
 
 A point that is taken to move with the wrong part comes, in some of the poses, to where nothing is:
 this contradicts it. Points that are contradicted of all parts but one are surely that part's. Of a
-moving part they span a box; what lies in it in the part's rest frame and is hardly contradicted is
-the part's own, and what lies on the box's rim if it is surely not the fixed part's. All else is the
+moving part they span a box; points in it in the part's rest frame that are hardly contradicted are
+the part's own, and points on the box's rim if they are surely not the fixed part's. All else is the
 fixed part's.
 """
 
@@ -19,7 +19,7 @@ from articugen.discovery import kernels
 from articugen.discovery.clouds import Cells, Surface, widened
 
 ASKED, ASKING, POINTS = 21, 41, 400
-"""So many poses are asked, about points of so many poses, at most so many of each."""
+"""Number of poses that are asked, of poses whose points are asked about, and of points of each."""
 
 REACH = 0.02  # where a cloud has no point this near, it has no surface; in the unit frame
 
@@ -28,7 +28,8 @@ RARELY, CLEARLY = 0.15, 0.08
 part where that is contradicted so much less than any other."""
 
 FEWEST_SURE, OUTLIERS = 20, 0.002
-"""A box needs so many sure points, and leaves out this share of them along each axis, each way."""
+"""Sure points that a box needs, and the share of them that it leaves out along each axis, each
+way."""
 
 RIM = 0.03
 """So far around a box a point that is surely not the fixed part's is the part's own: sure points
@@ -47,7 +48,7 @@ class Ownership:
         middle, size: (P, 3) of a box along the axes that holds the part; `size` is half its edges.
         doubt: (P, R, R, R) in which share of the poses the part is contradicted at the centres of
             cells of the unit frame; 0 where neither its box nor the rim comes, of part 0 where no
-            pose tells.
+            pose decides.
     """
 
     owns: NDArray[np.bool_]
@@ -56,7 +57,8 @@ class Ownership:
     doubt: NDArray[np.float32]
 
     def part_of(self, rest: Floats) -> NDArray[np.int64]:
-        """(n,) whose points are that would be at `rest` (P, n, 3) if they were of each part."""
+        """Return (n,) the parts of points that would be at `rest` (P, n, 3) if they were of each
+        part."""
         R = self.doubt.shape[1]
         i, j, k = np.moveaxis(np.clip(((rest + 0.5) * R).astype(np.int64), 0, R - 1), -1, 0)
         doubt = self.doubt[np.arange(len(rest))[:, None], i, j, k]
@@ -64,8 +66,8 @@ class Ownership:
         for p in np.flatnonzero(self.owns[1:]) + 1:
             beyond = (np.abs(rest[p] - self.middle[p]) - self.size[p]).max(1)
             rim = np.where(beyond <= RIM, np.minimum(RARELY, doubt[0] - CLEARLY), 0.0)
-            mine = doubt[p] < np.minimum(best, np.where(beyond <= 0.0, MOST_DOUBT, rim))
-            best, part = np.where(mine, doubt[p], best), np.where(mine, p, part)
+            better = doubt[p] < np.minimum(best, np.where(beyond <= 0.0, MOST_DOUBT, rim))
+            best, part = np.where(better, doubt[p], best), np.where(better, p, part)
         return part
 
 
@@ -80,9 +82,9 @@ def assign_material(
         motion: (K, P, 4, 4) of each part from its rest frame.
     """
     K, P = motion.shape[:2]
-    asked = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
-    surfaces = Cells.of([Surface.bare(clouds[k]) for k in asked])
-    evidence = _Evidence(surfaces, widened(hidden[asked].astype(np.uint8), 1), motion[asked])
+    poses = np.unique(np.linspace(0, K - 1, ASKED).astype(int))
+    surfaces = Cells.of([Surface.bare(clouds[k]) for k in poses])
+    evidence = _Evidence(surfaces, widened(hidden[poses].astype(np.uint8), 1), motion[poses])
     asking = np.unique(np.linspace(0, K - 1, ASKING).astype(int))
     some = [clouds[k][:: len(clouds[k]) // POINTS + 1] for k in asking]
     back = zip(some, invert_rigid(motion[asking]), strict=True)
@@ -107,40 +109,43 @@ def assign_material(
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What the poses that are asked say: `cells` of their surfaces, `taken` (K, R, R, R) voxels
-    that have something in them or beside them, `motion` (K, P, 4, 4)."""
+    """Evidence of some poses: `cells` of their surfaces, `taken` (K, R, R, R) voxels that have
+    something in them or beside them, `motion` (K, P, 4, 4)."""
 
     cells: Cells
     taken: NDArray[np.uint8]
     motion: NDArray[np.float64]
 
     def against(self, rest: Floats, part: int) -> Floats:
-        """(n,) in which share of the poses points, at rest (n, 3), come to where nothing is."""
+        """Return (n,) the share of the poses in which points, at rest (n, 3), come to where nothing
+        is."""
         M = np.ascontiguousarray(self.motion[:, part, :3])
         rest = np.ascontiguousarray(rest)
         return kernels.to_nothing(rest, M, self.taken, self.cells.points, self.cells.starts, REACH)
 
     def around(self, bounds: Floats, part: int) -> Floats:
-        """(R, R, R) the same of cells' centres that lie within bounds or on their rim, else 0."""
+        """Return (R, R, R) the same of the centres of cells that lie within bounds or on their rim,
+        else 0."""
         R = self.taken.shape[1]
         centres, beside = (np.arange(R) + 0.5) / R - 0.5, RIM + 1.0 / R
         i, j, k = ((centres > low - beside) & (centres < high + beside) for low, high in bounds.T)
-        asked = i[:, None, None] & j[:, None] & k
-        return self._on_grid(asked if np.ptp(bounds) else np.zeros_like(asked), part)
+        wanted = i[:, None, None] & j[:, None] & k
+        return self._on_grid(wanted if np.ptp(bounds) else np.zeros_like(wanted), part)
 
     def of_fixed(self) -> Floats:
         """Return (R, R, R) the same of part 0 where something is in some of the poses, else 0."""
         return self._on_grid((self.taken.max(0) > 0) & (self.taken.min(0) == 0), 0)
 
-    def _on_grid(self, asked: NDArray[np.bool_], part: int) -> Floats:
-        """Return (R, R, R) the same of the centres of the cells that are `asked`, else 0."""
-        out = np.zeros(asked.shape)
-        out[asked] = self.against((np.argwhere(asked) + 0.5) / len(asked) - 0.5, part)
+    def _on_grid(self, wanted: NDArray[np.bool_], part: int) -> Floats:
+        """Return (R, R, R) the same of the centres of the cells that are `wanted`, else 0."""
+        out = np.zeros(wanted.shape)
+        out[wanted] = self.against((np.argwhere(wanted) + 0.5) / len(wanted) - 0.5, part)
         return out
 
 
 def _box_of_sure(rest: Floats, doubt: Floats, part: int) -> Floats | None:
-    """(2, 3) the least and greatest coordinates of a part's sure points, None if they are few."""
+    """Return (2, 3) the least and greatest coordinates of a part's sure points, None if they are
+    few."""
     others = np.delete(doubt, part, axis=0).min(0)
     sure = (doubt[part] < RARELY) & (others - doubt[part] > CLEARLY)
     return _bounds(rest[part][sure]) if sure.sum() >= FEWEST_SURE else None

@@ -19,8 +19,8 @@ SLIDE_STEP = 0.0125
 _LONGEST_SLIDE = 0.8
 _FAN = 60
 _FEW, _KEPT = 3, 8
-"""Turns about all pivots are tried with one in so many points of a patch, then those about the best
-pivots, one in so many, with all of its points."""
+"""Turns about all pivots are tried with every `_FEW`-th point of a patch, then those about the best
+pivots, one in `_KEPT`, with all of its points."""
 
 _VOTE_REACH = 0.02
 """Votes are for places so near to something new, at least: pivots and axes are on coarse grids."""
@@ -59,7 +59,8 @@ def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
 
 
 def plane_across(axis: Floats) -> Floats:
-    """(2, 3) unit vectors that span the plane across `axis`; coordinate axes where they do."""
+    """Return (2, 3) unit vectors that span the plane across `axis`; coordinate axes where they
+    do."""
     start = np.eye(3)[int(np.abs(axis).argmin())]
     first = cross(axis, start)
     first = first / np.linalg.norm(first)
@@ -67,7 +68,8 @@ def plane_across(axis: Floats) -> Floats:
 
 
 def ballot(change: Change) -> NDArray[np.uint64]:
-    """(VOTES^3,) of each cell: byte k is 1 where something new is near in searched pose k."""
+    """Return (VOTES^3,) bits of each cell: byte k is 1 where something new is near in searched pose
+    k."""
     R = kernels.VOTES
     grid = np.zeros((R, R, R), np.uint64)
     wide = max(change.near, _VOTE_REACH)
@@ -118,21 +120,22 @@ class Search:
         pivots = pivots[kept]
         most, step = kernels.votes(turned, rest[kept], w, self.grid)
         share = most.sum(1) / self._whole(which)
-        found, free = [], np.ones(len(pivots), bool)
+        chosen, free = [], np.ones(len(pivots), bool)
         for _ in range(keep):
             c = int(np.where(free, share, -1.0).argmax())
             states = self._states(angles, step[c], which)
-            found.append((float(share[c]), Candidate(True, axis, pivots[c], states)))
+            chosen.append((float(share[c]), Candidate(True, axis, pivots[c], states)))
             free &= ((pivots - pivots[c]) ** 2).sum(1) > (2.5 * PIVOT_STEP) ** 2
             if not free.any():
                 break
-        return found
+        return chosen
 
     def _turns_about(
         self, axis: tuple[float, ...]
     ) -> tuple[Floats, Floats, Floats, NDArray[np.float32]]:
-        """What turns of all patches about an axis share: (T,) angles, (T, 3, 3) rotations, (C, 3)
-        pivots, and (C, T, 3) what each pivot adds to what is turned, in cells of the grid."""
+        """Return what turns of all patches about an axis share: (T,) angles, (T, 3, 3) rotations,
+        (C, 3) pivots, and (C, T, 3) what each pivot adds to what is turned, in cells of the
+        grid."""
         if axis not in self._turns:
             way = np.array(axis)
             pivots = self._pivots(plane_across(way), way)
@@ -166,7 +169,7 @@ class Search:
         ]
 
     def _states(self, steps: Floats, best: NDArray[np.int32], which: NDArray[np.intp]) -> Floats:
-        """(S,) the states that got most votes; 0 where few have left, and votes say little."""
+        """Return (S,) states that got most votes; 0 where few have left, and votes say little."""
         gone = self.change.gone[:, which].mean(1)
         return np.where(gone > 0.3, steps[best[: len(gone)]], 0.0)
 
@@ -174,7 +177,8 @@ class Search:
         return max(float(self.change.gone[:, which].sum()), 1.0)
 
     def _pivots(self, across: Floats, axis: Floats) -> Floats:
-        """(C, 3) a grid over the object's shadow along `axis`, at the middle of its height."""
+        """Return (C, 3) a grid over the object's shadow along `axis`, at the middle of its
+        height."""
         corners = np.array([np.where(b, self.high, self.low) for b in np.ndindex(2, 2, 2)])
         u, v = across @ corners.T
         us = np.arange(u.min() - PIVOT_STEP, u.max() + 2 * PIVOT_STEP, PIVOT_STEP)

@@ -74,8 +74,8 @@ class Protocol:
 
 @dataclass
 class Tally:
-    """What has been measured so far, by votes (P, K) that are cast already: those of canonical
-    poses, and of all if those were asked. What is added is of the instance named last by `at`."""
+    """Measures so far, by votes (P, K) that are cast already: those of canonical poses, and of all
+    if those were asked. `at` names the instance that the next measures are of."""
 
     votes: Floats
     all_votes: Floats | None = None
@@ -166,14 +166,14 @@ def evaluate(
         _measure_shape(tally, canonical, first, protocol)
         _note_joint_states(tally, canonical, first)
         for instance in posed:
-            found = reconstruct(instance)
+            predicted = reconstruct(instance)
             tally.at(instance)
-            matched = _measure_shape(tally, instance, found, protocol)
-            _note_joint_states(tally, instance, found)
-            _measure_motion(tally, (canonical, instance), (first, found), protocol)
-            _measure_joints(tally, (canonical, instance), (first, found))
+            matched = _measure_shape(tally, instance, predicted, protocol)
+            _note_joint_states(tally, instance, predicted)
+            _measure_motion(tally, (canonical, instance), (first, predicted), protocol)
+            _measure_joints(tally, (canonical, instance), (first, predicted))
             for errors in (pose_errors, joint_errors):
-                for name, error in errors((canonical, instance), (first, found), matched):
+                for name, error in errors((canonical, instance), (first, predicted), matched):
                     tally.add(**{name: error})
         if finer and first.whole is not None:
             for instance in (canonical, *posed):
@@ -217,9 +217,11 @@ def label_votes(
     for instances in objects_of(data, "train", protocol.states if of_all else 0):
         for instance in instances:
             points, true = surface_of(instance, protocol.points)
-            found = reconstruct(instance)
-            near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
-            cast = metrics.votes(near, true, found.parts, len(instance.part_motion))
+            predicted = reconstruct(instance)
+            near = metrics.nearest_part(
+                points, predicted.triangles, predicted.part, predicted.parts
+            )
+            cast = metrics.votes(near, true, predicted.parts, len(instance.part_motion))
             (more if instance.state_index else ballots).append(cast)
         on_object(instances[0].object_id)
     most = max(ballot.shape[1] for ballot in ballots)
@@ -253,42 +255,42 @@ def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
 
 
 def _measure_shape(
-    tally: Tally, instance: Instance, found: Reconstruction, protocol: Protocol
+    tally: Tally, instance: Instance, predicted: Reconstruction, protocol: Protocol
 ) -> Matching:
-    near, true = _nearest_parts(instance, found, protocol)
-    matched = matching(near, true, instance, found.parts)
+    near, true = _nearest_parts(instance, predicted, protocol)
+    matched = matching(near, true, instance, predicted.parts)
     tally.add_label_iou(near, true)
     tally.add(matched_part_iou=float(np.nanmean(matched.iou)))
-    grid = instance.occupancy.get(len(found.occupied))
+    grid = instance.occupancy.get(len(predicted.occupied))
     if grid is not None:
         true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
         tally.add(
-            reconstruction_iou=metrics.occupancy_iou(found.occupied, true_grid),
+            reconstruction_iou=metrics.occupancy_iou(predicted.occupied, true_grid),
             voxels_label_iou=_voxels_label_iou(grid, *surface_of(instance, protocol.points)),
         )
-    if found.whole is None:
+    if predicted.whole is None:
         return matched
     surface = dequantize(instance.surface_points)
-    to_predicted = np.minimum(distance(surface, found.whole), DIAGONAL)
+    to_predicted = np.minimum(distance(surface, predicted.whole), DIAGONAL)
     to_true = np.full(1, DIAGONAL)
-    if len(found.whole):
+    if len(predicted.whole):
         rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-        drawn = sample(found.whole, protocol.surface_samples, rng)
+        drawn = sample(predicted.whole, protocol.surface_samples, rng)
         to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
     tally.add(
         chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
         f_score=100.0 * metrics.f_score(to_true, to_predicted, protocol.f_threshold),
-        no_surface=float(not len(found.whole)),
+        no_surface=float(not len(predicted.whole)),
     )
     return matched
 
 
 def _nearest_parts(
-    instance: Instance, found: Reconstruction, protocol: Protocol
+    instance: Instance, predicted: Reconstruction, protocol: Protocol
 ) -> tuple[Ints, Ints]:
-    """((n,), (n,)): the predicted part that is nearest to each surface point, and its true one."""
+    """Return predicted part (n,) that is nearest to each surface point, and its true one (n,)."""
     points, true = surface_of(instance, protocol.points)
-    return metrics.nearest_part(points, found.triangles, found.part, found.parts), true
+    return metrics.nearest_part(points, predicted.triangles, predicted.part, predicted.parts), true
 
 
 def _label_iou(labels: Ints, near: Ints, true: Ints) -> float:
@@ -305,16 +307,17 @@ def _voxels_label_iou(grid: NDArray[np.uint8], points: Floats, true: Ints) -> fl
     return metrics.label_iou(near, true)
 
 
-def motions(first: Reconstruction, found: Reconstruction) -> dict[str, Floats]:
-    """(P, 4, 4) how parts moved, by each reading that the method allows: joint, transform."""
-    readings = {"joint": first.joint_motion_to(found), "transform": first.motion_to(found)}
+def motions(first: Reconstruction, second: Reconstruction) -> dict[str, Floats]:
+    """Return the motions of parts (P, 4, 4) by each reading that the method allows: joint,
+    transform."""
+    readings = {"joint": first.joint_motion_to(second), "transform": first.motion_to(second)}
     return {name: motion for name, motion in readings.items() if motion is not None}
 
 
 def _measure_motion(
     tally: Tally,
     instances: tuple[Instance, Instance],
-    found: tuple[Reconstruction, Reconstruction],
+    predicted: tuple[Reconstruction, Reconstruction],
     protocol: Protocol,
 ) -> None:
     canonical, instance = instances
@@ -323,15 +326,15 @@ def _measure_motion(
     still = np.tile(np.eye(4), (len(points), 1, 1))
     tally.add(epe_nothing_moves=metrics.endpoint_error(points, true, T_true, still))
     for which, names in (("all", tally.labels), ("dominant", tally.dominant)):
-        carrier = carriers(points, true, T_true, found[1], names)
-        for reading, motion in motions(*found).items():
+        carrier = carriers(points, true, T_true, predicted[1], names)
+        for reading, motion in motions(*predicted).items():
             T = np.where((carrier == NO_LABEL)[:, None, None], np.eye(4), motion[carrier])
             error = metrics.endpoint_error(points, true, T_true, T)
             tally.add(**{f"epe_{reading}_{which}": error})
 
 
 def carriers(
-    points: Floats, true: Ints, T_true: Floats, found: Reconstruction, label: Ints
+    points: Floats, true: Ints, T_true: Floats, predicted: Reconstruction, label: Ints
 ) -> Ints:
     """Return (n,) the predicted part of a point's own label that is nearest to where the point has
     moved; NO_LABEL if there is none.
@@ -342,21 +345,21 @@ def carriers(
     posed = np.einsum("nij,nj->ni", T_true[true, :3, :3], points) + T_true[true, :3, 3]
     carrier = np.full(len(posed), NO_LABEL)
     for k in np.unique(true):
-        mine, parts = np.flatnonzero(true == k), np.flatnonzero(label == k)
+        rows, parts = np.flatnonzero(true == k), np.flatnonzero(label == k)
         if len(parts) == 1:
-            carrier[mine] = parts[0]
+            carrier[rows] = parts[0]
         elif len(parts):
-            far = [distance(posed[mine], found.triangles[found.part == i]) for i in parts]
-            carrier[mine] = parts[np.argmin(far, axis=0)]
+            far = [distance(posed[rows], predicted.triangles[predicted.part == i]) for i in parts]
+            carrier[rows] = parts[np.argmin(far, axis=0)]
     return carrier
 
 
-def _note_joint_states(tally: Tally, instance: Instance, found: Reconstruction) -> None:
-    if found.joints is None:
+def _note_joint_states(tally: Tally, instance: Instance, shape: Reconstruction) -> None:
+    if shape.joints is None:
         return
     for j, kind in enumerate(instance.joint_kind.tolist()):
-        parts = np.flatnonzero((tally.dominant == j + 1) & (found.joints.kind == kind))
-        predicted = float(found.joints.state[parts[0]]) if len(parts) else None
+        parts = np.flatnonzero((tally.dominant == j + 1) & (shape.joints.kind == kind))
+        predicted = float(shape.joints.state[parts[0]]) if len(parts) else None
         true = float(instance.joint_state[j])
         tally.joint_states.append(JointState(**_which(instance, j), true=true, predicted=predicted))
 
@@ -372,17 +375,17 @@ def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
     groups: dict[tuple[int, Kind], list[JointState]] = {}
     for state in states:
         groups.setdefault((state.joint, state.kind), []).append(state)
-    for (joint, kind), mine in sorted(groups.items(), key=lambda group: group[0]):
-        known = [(s.true, s.predicted) for s in mine if s.predicted is not None]
+    for (joint, kind), pairs in sorted(groups.items(), key=lambda group: group[0]):
+        known = [(s.true, s.predicted) for s in pairs if s.predicted is not None]
         line = metrics.line_through(*np.array(known, np.float64).reshape(-1, 2).T)
         fit = dict(zip(("slope", "offset", "residual"), line or (None,) * 3, strict=True))
-        yield JointLine(joint=joint, kind=kind, states=len(mine), predicted=len(known), **fit)
+        yield JointLine(joint=joint, kind=kind, states=len(pairs), predicted=len(known), **fit)
 
 
 def _measure_joints(
     tally: Tally,
     instances: tuple[Instance, Instance],
-    found: tuple[Reconstruction, Reconstruction],
+    predicted: tuple[Reconstruction, Reconstruction],
 ) -> None:
     """Appendix E: right where one part of the same kind is assigned, its error below a limit.
 
@@ -390,11 +393,11 @@ def _measure_joints(
     has hardly moved shows no direction.
     """
     canonical, instance = instances
-    both = joints_of(*found, kinds_of(tally.labels, instance))
+    both = joints_of(*predicted, kinds_of(tally.labels, instance))
     if both is None:
         return
     first, joints = both
-    fitted = found[1].joints is None
+    fitted = predicted[1].joints is None
     for j, kind in enumerate(instance.joint_kind.tolist()):
         parts = np.flatnonzero(tally.labels == j + 1)
         same = len(parts) == 1 and int(first.kind[parts[0]]) == kind

@@ -27,12 +27,12 @@ Reconstruct = Callable[[Floats], Reconstruction]
 """From a cloud (n, 3)."""
 
 Between = Callable[[Floats, Floats, int], tuple[Sequence[Reconstruction], Sequence[Reconstruction]]]
-"""From two clouds in so many steps: shapes, and states."""
+"""Function of two clouds and a number of steps: shapes, and states."""
 
 STEPS = 6
 OBJECTS = 3
 INSTANCES = 16
-"""Of each object so many are read, the canonical one among them."""
+"""Instances of each object that are read, the canonical one among them."""
 
 EXAMPLE_STATES = 3
 """Of the one object that stands for its category."""
@@ -49,7 +49,7 @@ _GRAIN = (
 
 @dataclass(frozen=True)
 class Names:
-    """Which true part each predicted one stands for, -1 for none: by votes, and by most votes."""
+    """True part that each predicted one stands for, -1 for none: by votes, and by most votes."""
 
     labels: Sequence[int]
     dominant: Sequence[int]
@@ -64,8 +64,8 @@ class Names:
         corners = shape.triangles
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.bincount(shape.part, np.linalg.norm(across, axis=1), minlength=shape.parts)
-        mine = [i for i, label in enumerate(self.labels) if label == joint + 1]
-        return max(mine, key=lambda i: (area[i], self.dominant[i] == joint + 1), default=None)
+        parts = [i for i, label in enumerate(self.labels) if label == joint + 1]
+        return max(parts, key=lambda i: (area[i], self.dominant[i] == joint + 1), default=None)
 
 
 def by_opening(instances: Sequence[Instance]) -> list[Instance]:
@@ -96,7 +96,7 @@ def draw_reconstructions(
     rows = [
         reconstructions(o, [(f"{o[0].object_id}: reconstruction", *model)], azimuth) for o in some
     ]
-    save(sheet([row for each in rows for row in each]), path)
+    save(sheet([row for block in rows for row in block]), path)
 
 
 def draw_interpolations(
@@ -115,15 +115,15 @@ def draw_interpolations(
     one, other = evenly(objects[0], 3)[1], objects[-1][-1]
     clouds = [dequantize(instance.surface_points) for instance in (one, other)]
     names = Names(result.labels, result.dominant)
-    found = between(clouds[0], clouds[1], STEPS)
-    points = np.concatenate([*clouds, *(f.triangles.reshape(-1, 3) for row in found for f in row)])
+    shapes = between(clouds[0], clouds[1], STEPS)
+    points = np.concatenate([*clouds, *(f.triangles.reshape(-1, 3) for row in shapes for f in row)])
     camera = tile_camera(points, best_azimuth([other]))
     floor = float(clouds[0][:, 2].min())
     shares: list[Caption] = [[(f"{s:.0f} %", GREY)] for s in np.linspace(0.0, 100.0, STEPS)]
     titles = (f"{one.object_id} to {other.object_id}: shapes in one pose", "states of one shape")
     rows = [
         Row(title, [solid_portrait(solid_of(f, names), camera, floor) for f in row], shares)
-        for title, row in zip(titles, found, strict=True)
+        for title, row in zip(titles, shapes, strict=True)
     ]
     save(sheet(rows), path)
 
@@ -180,12 +180,12 @@ def reconstructions(
 ) -> list[Row]:
     """Draw a row of an object's true instances, and one of what each model makes of them.
 
-    Arrows are joint axes; captions tell how far joints have moved since the canonical pose.
+    Arrows are joint axes; captions say how far joints have moved since the canonical pose.
 
     Args:
         instances: of the object, `by_opening`.
         models: the title of the row, the reconstructions and whose parts they are.
-        title: in the place of the object's name.
+        title: instead of the object's name.
         pool: points of this many instances make the true surface: more are slower and smoother.
     """
     drawn = evenly(instances, states)
@@ -216,34 +216,35 @@ def reconstructions(
     return rows
 
 
-def solid_of(found: Reconstruction, names: Names) -> ColouredMesh:
+def solid_of(shape: Reconstruction, names: Names) -> ColouredMesh:
     """Return a reconstruction as it is drawn; points become tetrahedra."""
-    triangles, part = found.triangles, found.part
-    if found.whole is None:  # of points alone
+    triangles, part = shape.triangles, shape.part
+    if shape.whole is None:  # of points alone
         triangles = (triangles[:, None] + _GRAIN).reshape(-1, 3, 3)
         part = part.repeat(len(_GRAIN))
     return ColouredMesh(triangles, part, names.colours)
 
 
 def _changes(
-    instance: Instance, first: Reconstruction, found: Reconstruction, names: Names
+    instance: Instance, first: Reconstruction, predicted: Reconstruction, names: Names
 ) -> list[float | None]:
     """Return how far each joint has moved by the prediction, positive about the true axis; None
     where no part stands for it, and nothing at all where the method knows no joints."""
     changes: list[float | None] = []
-    if first.joints is None or found.joints is None:
+    if first.joints is None or predicted.joints is None:
         return changes
     for j, kind in enumerate(instance.joint_kind.tolist()):
         i = names.part_of(j, first)
-        if i is None or found.joints.kind[i] != kind:
+        if i is None or predicted.joints.kind[i] != kind:
             changes.append(None)
             continue
-        changes.append(found.joints.change_since(first.joints, i, instance.joint_axis[j]))
+        changes.append(predicted.joints.change_since(first.joints, i, instance.joint_axis[j]))
     return changes
 
 
 def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Caption:
-    """Each change after a dot in the colour of its part; a question mark where there is none."""
+    """Return each change after a dot in the colour of its part; a question mark where there is
+    none."""
     texts = []
     for j, change in enumerate(changes):
         if change is None:
@@ -266,12 +267,12 @@ def _true_axes(instance: Instance) -> ColouredMesh:
     ])  # fmt: skip
 
 
-def _predicted_axes(instance: Instance, found: Reconstruction, names: Names) -> ColouredMesh:
+def _predicted_axes(instance: Instance, predicted: Reconstruction, names: Names) -> ColouredMesh:
     """Return the axes of the parts that joints move, as long as the true ones would be there."""
     points, part = dequantize(instance.surface_points), instance.surface_part
-    joints, axes = found.joints, []
+    joints, axes = predicted.joints, []
     for j in range(len(instance.joint_kind)):
-        i = names.part_of(j, found)
+        i = names.part_of(j, predicted)
         if joints is None or i is None or joints.kind[i] == JointKind.FIXED:
             continue
         kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
@@ -283,9 +284,9 @@ def _axis(
     kind: int, pivot: Floats, axis: Floats, points: Floats, of_part: Floats, colour: str
 ) -> ColouredMesh:
     """Through the pivot and all of the part, or out of a sliding part."""
-    mine = of_part if len(of_part) else points
-    through = pivot if kind == JointKind.REVOLUTE else mine.mean(0)
-    along = (mine - through) @ axis
+    near = of_part if len(of_part) else points
+    through = pivot if kind == JointKind.REVOLUTE else near.mean(0)
+    along = (near - through) @ axis
     low = along.min() - 0.1 if kind == JointKind.REVOLUTE else 0.0
     return arrow(
         through + low * axis, through + (along.max() + 0.14) * axis, 0.006, shaded(colour, -0.4)

@@ -1,6 +1,6 @@
-"""Parts matched anew in every instance: what self-supervised pose estimators are measured by.
+"""Parts matched in every instance again: what self-supervised pose estimators are measured by.
 
-OP-Align (Che et al., ECCV 2024) and SCAPO (Zhang and Lee, CVPR 2026) tell no part from another:
+OP-Align (Che et al., ECCV 2024) and SCAPO (Zhang and Lee, CVPR 2026) do not distinguish parts:
 which prediction stands for which true part is what labels most points of the instance rightly.
 Here, where there may be more predicted parts than true ones, that is an assignment problem. They
 measure what they match alone; here nothing is dropped: a true part without a predicted one has IoU
@@ -27,7 +27,7 @@ STILL: dict[int, float] = {JointKind.REVOLUTE: float(np.radians(5.0)), JointKind
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Of the K true parts of one instance.
+    """Matches of the K true parts of one instance.
 
     Attributes:
         predicted: (K,) the predicted part that each is matched with, NO_LABEL for none.
@@ -42,7 +42,7 @@ def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> Match
     """Predicted with true parts, so that most of an instance's surface points are labelled rightly.
 
     Args:
-        nearest, true: (n,) of some of its points, up to so many a true part; each part's stand
+        nearest, true: (n,) of some of its points, a limited number a true part; each part's stand
             for all that are stored of it, which are uniform by area.
         parts: how many predicted parts there are.
     """
@@ -59,7 +59,7 @@ def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> Match
 
 def pose_errors(
     instances: tuple[Instance, Instance],
-    found: tuple[Reconstruction, Reconstruction],
+    predicted: tuple[Reconstruction, Reconstruction],
     matched: Matching,
 ) -> Iterator[tuple[str, float]]:
     """Means over an instance's true parts of how far rotations and translations are off.
@@ -68,30 +68,30 @@ def pose_errors(
         instances: of one object, the canonical one and another; poses are counted from the former.
         matched: of the latter.
     """
-    motion = found[0].motion_to(found[1])
-    motion = found[0].joint_motion_to(found[1]) if motion is None else motion
+    motion = predicted[0].motion_to(predicted[1])
+    motion = predicted[0].joint_motion_to(predicted[1]) if motion is None else motion
     if motion is None:
         return
     canonical, instance = instances
     points, part = dequantize(canonical.surface_points), canonical.surface_part
     errors = {}
     for k in np.unique(part).tolist():
-        i, mine = matched.predicted[k], points[part == k]
+        i, some = matched.predicted[k], points[part == k]
         T, T_true = np.eye(4) if i == NO_LABEL else motion[i], instance.part_motion[k]
-        centre = 0.5 * (mine.min(0) + mine.max(0))
+        centre = 0.5 * (some.min(0) + some.max(0))
         angle = np.degrees(metrics.angle_between_rotations(T[:3, :3], T_true[:3, :3]))
         errors[k] = angle, np.linalg.norm(apply(T, centre) - apply(T_true, centre))
     for which, first in (("all", 0), ("moving", 1)):
-        mine = [errors[k] for k in errors if k >= first]
-        if mine:
-            degrees, length = np.mean(mine, axis=0)
+        some = [errors[k] for k in errors if k >= first]
+        if some:
+            degrees, length = np.mean(some, axis=0)
             yield f"matched_rotation_degrees_{which}", float(degrees)
             yield f"matched_translation_{which}", float(length)
 
 
 def joint_errors(
     instances: tuple[Instance, Instance],
-    found: tuple[Reconstruction, Reconstruction],
+    predicted: tuple[Reconstruction, Reconstruction],
     matched: Matching,
 ) -> Iterator[tuple[str, float]]:
     """Yield how far each joint's direction, pivot and state since the canonical pose are off.
@@ -100,13 +100,13 @@ def joint_errors(
         instances, matched: as `pose_errors` takes them.
     """
     canonical, instance = instances
-    label = np.full(found[1].parts, NO_LABEL)
+    label = np.full(predicted[1].parts, NO_LABEL)
     there = np.flatnonzero(matched.predicted != NO_LABEL)
     label[matched.predicted[there]] = there
-    both = joints_of(*found, kinds_of(label, instance))
+    both = joints_of(*predicted, kinds_of(label, instance))
     if both is None:
         return
-    (first, joints), fitted = both, found[1].joints is None
+    (first, joints), fitted = both, predicted[1].joints is None
     for j, kind in enumerate(instance.joint_kind.tolist()):
         i, true_axis = int(matched.predicted[j + 1]), instance.joint_axis[j]
         revolute = kind == JointKind.REVOLUTE

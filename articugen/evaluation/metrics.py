@@ -18,7 +18,8 @@ DIAGONAL = float(np.sqrt(3.0))
 
 
 def nearest_part(points: Floats, triangles: Floats, part: Ints, parts: int) -> Ints:
-    """(n,) the predicted part whose surface is nearest to each point; NO_LABEL where none has any.
+    """Return (n,) the predicted part whose surface is nearest to each point; NO_LABEL where none
+    has any.
 
     Args:
         triangles: (F, 3, 3) of all parts; `part` (F,) whose each is.
@@ -33,14 +34,14 @@ def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats
     A true part counts the same however large it is.
     """
     table = np.zeros((parts, true_parts))
-    found = nearest != NO_LABEL
-    np.add.at(table, (nearest[found], true_part[found]), 1.0)
+    is_known = nearest != NO_LABEL
+    np.add.at(table, (nearest[is_known], true_part[is_known]), 1.0)
     count = np.bincount(true_part, minlength=true_parts)
     return table / np.maximum(count, 1)
 
 
 def labels_from(table: Floats) -> Ints:
-    """(P,) the true part that each predicted part gets most votes from; NO_LABEL without any."""
+    """Return (P,) true part that each predicted part gets most votes from; NO_LABEL without any."""
     return np.where(table.sum(1) > 0, table.argmax(1), NO_LABEL)
 
 
@@ -85,20 +86,20 @@ def assigned(gain: Floats) -> Ints:
             previous = before[column]
             owner[column] = row if previous == NO_LABEL else owner[previous]
             column = previous
-    found = np.full(rows, NO_LABEL)
+    labels = np.full(rows, NO_LABEL)
     for column in np.flatnonzero(owner[:columns] != NO_LABEL):
         if gain[owner[column], column] > 0.0:
-            found[owner[column]] = column
-    return found
+            labels[owner[column]] = column
+    return labels
 
 
 def label_iou(predicted: Ints, true: Ints) -> float:
     """Return the mean over the true parts present of |predicted and true| / |predicted or true|."""
-    each = [
+    costs = [
         np.sum((predicted == k) & (true == k)) / np.sum((predicted == k) | (true == k))
         for k in np.unique(true)
     ]
-    return float(np.mean(each))
+    return float(np.mean(costs))
 
 
 def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:
@@ -108,7 +109,8 @@ def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> floa
 
 
 def line_through(true: Floats, predicted: Floats) -> tuple[float, float, float] | None:
-    """(slope, offset, residual): least squares, root mean square; None if `true` does not vary."""
+    """Return (slope, offset, residual): least squares, root mean square; None if `true` does not
+    vary."""
     if len(true) < 2 or np.ptp(true) < 1e-9:
         return None
     slope, offset = np.polyfit(true, predicted, 1)
@@ -125,11 +127,13 @@ def endpoint_error(points: Floats, true: Ints, T_true: Floats, T_predicted: Floa
         T_predicted: (n, 4, 4) what moves each point.
     """
     moved = np.einsum("nij,nj->ni", T_predicted[:, :3, :3], points) + T_predicted[:, :3, 3]
-    each = []
+    shares = []
     for k in np.unique(true):
-        mine = true == k
-        each.append(np.linalg.norm(moved[mine] - apply(T_true[k], points[mine]), axis=1).mean())
-    return float(np.mean(each))
+        of_part = true == k
+        shares.append(
+            np.linalg.norm(moved[of_part] - apply(T_true[k], points[of_part]), axis=1).mean()
+        )
+    return float(np.mean(shares))
 
 
 def chamfer_l1(to_true: Floats, to_predicted: Floats) -> float:
@@ -138,7 +142,7 @@ def chamfer_l1(to_true: Floats, to_predicted: Floats) -> float:
 
 
 def f_score(to_true: Floats, to_predicted: Floats, threshold: float) -> float:
-    """The harmonic mean of precision and recall: shares of points nearer than the threshold."""
+    """Return harmonic mean of precision and recall: shares of points nearer than the threshold."""
     precision, recall = np.mean(to_true < threshold), np.mean(to_predicted < threshold)
     return float(2.0 * precision * recall / max(precision + recall, 1e-12))
 

@@ -32,7 +32,8 @@ METHODS = {
 
 
 def row_of(method: str, parts: int) -> str:
-    """Return which of the paper's methods a run of so many parts stands beside; "" for none."""
+    """Return which of the paper's methods a run with this number of parts stands beside; "" for
+    none."""
     name = "bsp8" if (method, parts) == ("bsp", 8) else method.removesuffix("_depth")
     return name if name in METHODS else ""
 

@@ -65,16 +65,17 @@ class Reconstruction:
         return np.where(np.isfinite(motion), motion, np.eye(4))
 
     def joint_motion_to(self, posed: "Reconstruction") -> Floats | None:
-        """How parts moved by this shape's axes and the difference of joint states: (P, 4, 4)."""
+        """Return (P, 4, 4) the motions of parts by this shape's axes and the difference of joint
+        states."""
         if self.joints is None or posed.joints is None:
             return None
-        mine, motion = self.joints, np.tile(np.eye(4), (self.parts, 1, 1))
-        change = posed.joints.state - mine.state
-        for i in np.flatnonzero(mine.kind == JointKind.REVOLUTE):
-            R = rotation_about(mine.direction[i], change[i])
-            motion[i] = transform(R, mine.pivot[i] - R @ mine.pivot[i])
-        for i in np.flatnonzero(mine.kind == JointKind.PRISMATIC):
-            motion[i, :3, 3] = change[i] * mine.direction[i]
+        joints, motion = self.joints, np.tile(np.eye(4), (self.parts, 1, 1))
+        change = posed.joints.state - joints.state
+        for i in np.flatnonzero(joints.kind == JointKind.REVOLUTE):
+            R = rotation_about(joints.direction[i], change[i])
+            motion[i] = transform(R, joints.pivot[i] - R @ joints.pivot[i])
+        for i in np.flatnonzero(joints.kind == JointKind.PRISMATIC):
+            motion[i, :3, 3] = change[i] * joints.direction[i]
         return motion
 
 
@@ -117,7 +118,7 @@ def labelled_points(
     points: Floats, part: NDArray[np.int64], parts: int, **known: Any
 ) -> Reconstruction:
     """Return what a method without surfaces makes of a cloud: points (n, 3) of parts (n,), each a
-    triangle of no size, so that what lies nearest has the label of the nearest point.
+    triangle of no size, so that the nearest one has the label of the nearest point.
 
     Args:
         known: `T_part` and `joints` of `Reconstruction`.
@@ -127,10 +128,10 @@ def labelled_points(
 
 
 def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
-    """Return the ground truth in the place of a prediction; its surfaces are the stored points.
+    """Return the ground truth as if it were predicted; its surfaces are the stored points.
 
     Args:
-        resolution: of the stored grid that tells what is occupied, if there is such a grid.
+        resolution: of the stored grid of occupancy, if there is such a grid.
     """
     grid = instance.occupancy.get(resolution, np.zeros((0, 0, 0), np.uint8))
     triangles = np.repeat(dequantize(instance.surface_points)[:, None], 3, axis=1)

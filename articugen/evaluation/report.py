@@ -108,7 +108,7 @@ class Line:
 
     @property
     def run(self) -> EvaluatedRun:
-        """Which run the first is."""
+        """First of the runs."""
         return self.runs[0].run
 
     def values(self, metric: Metric, category: str) -> list[float]:
@@ -118,7 +118,7 @@ class Line:
             some = [self.values(metric, c) for c in (paper.CATEGORIES if category else names)]
             if len(some) == 1 or not all(some):
                 return some[0] if len(some) == 1 else []
-            return [float(np.mean([np.mean(each) for each in some]))]
+            return [float(np.mean([np.mean(seeds) for seeds in some]))]
         numbers = [_measured(r, metric.name) for r in self.runs if r.run.category == category]
         return [metric.factor * number for number in numbers if number is not None]
 
@@ -183,8 +183,8 @@ def tables(results: Sequence[RunEvaluation], refused: Mapping[str, str] | None =
     if any(line.run.input == "depth" for line in lines):
         printed = {name: (f"paper: {name}", cells) for name, cells in paper.INPUTS.items()}
         columns = [(m.title, m, THERE) for m in (SHAPES[2], LABELS[0], SHAPES[0])]
-        seen = [line for line in lines if line.run.method in (paper.METHOD, "ppd_depth")]
-        text += _table(f"{over}, table 6: input", columns, seen, printed, lambda x: x.run.input)
+        some = [line for line in lines if line.run.method in (paper.METHOD, "ppd_depth")]
+        text += _table(f"{over}, table 6: input", columns, some, printed, lambda x: x.run.input)
     for category in categories:
         columns = [(m.header, m, category) for m in POSES]
         text += _table(f"{category}, as SCAPO and OP-Align", columns, whole, {}, lambda _: "")
@@ -232,12 +232,12 @@ def _overview(lines: Sequence[Line]) -> list[str]:
     """Return what was trained: how large it is, and for how long."""
     rows = [["recipe", "parts", "parameters", "iterations", "minutes", "seeds"]]
     for name in (*paper.METHODS, ""):
-        mine = [line for line in lines if _row_of(line) == name]
-        if mine and name:
+        some = [line for line in lines if _row_of(line) == name]
+        if some and name:
             about = paper.METHODS[name]
             numbers = [f"{n:,.0f}" if n else "-" for n in (about.parts, about.parameters)]
             rows.append([f"paper: {about.title}", *numbers, "-", "-", "-"])
-        for line in mine:
+        for line in some:
             runs = [r.run for r in line.runs]
             took = [r.seconds / 60.0 for r in runs if r.seconds is not None]
             rows.append([
@@ -370,13 +370,13 @@ def _joint_lines(joints: Sequence[JointLine]) -> list[str]:
         fit = "  |  "
         if joint.slope is not None:
             fit = f"{joint.slope:.3f} | {joint.residual:.3f} {unit}"
-        found = f"{joint.predicted} of {joint.states}"
-        lines.append(f"| joint {joint.joint}, {joint.kind} | {fit} | {found} |")
+        share = f"{joint.predicted} of {joint.states}"
+        lines.append(f"| joint {joint.joint}, {joint.kind} | {fit} | {share} |")
     return lines
 
 
 def _left_out(result: Evaluation) -> list[str]:
-    """What the release's protocol does not count."""
+    """Return lines on what the release's protocol does not count."""
     if result.left_out is None:
         return []
     left = result.left_out

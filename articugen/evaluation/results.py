@@ -21,7 +21,8 @@ class _Record(BaseModel):
 
 
 class _OfJoint(_Record):
-    """Of one joint, counted from 0, of one instance; radians, or lengths in the unit frame."""
+    """Values of one joint, counted from 0, of one instance; radians, or lengths in the unit
+    frame."""
 
     object: str
     state_index: int
@@ -49,7 +50,7 @@ class JointError(_OfJoint):
 
 
 class Measures(_Record):
-    """What was measured of one instance: of several joints, the mean over them."""
+    """Measures of one instance: of several joints, the mean over them."""
 
     object: str
     state_index: int
@@ -59,7 +60,8 @@ class Measures(_Record):
 class JointLine(_Record):
     """The line through a joint's predicted over its true states; None where there is none.
 
-    Of so many `states`, so many are `predicted`; `residual` is the root mean square.
+    `states` is how many there are, `predicted` how many have a value; `residual` is the root mean
+    square.
     """
 
     joint: int
@@ -72,7 +74,7 @@ class JointLine(_Record):
 
 
 class LeftOut(_Record):
-    """How many instances and true parts the release's protocol does not count."""
+    """Numbers of instances and true parts that the release's protocol does not count."""
 
     instances_label_iou: int = 0
     instances_epe: int = 0
@@ -107,7 +109,7 @@ class Evaluation(_Record):
 
 
 class EvaluatedRun(_Record):
-    """Which run was evaluated, and how.
+    """Run that was evaluated, and how.
 
     Attributes:
         method: whose run it is; the paper's ablation is of `paper.METHOD` alone.
@@ -123,7 +125,7 @@ class EvaluatedRun(_Record):
         label_poses: whose poses vote for labels: canonical ones, or those and all as well.
         states: random ones of each object; None is all.
         resolution: of the grid of its meshes.
-        finer: of the grid that labels are told by as well.
+        finer: of the second grid by which labels are measured.
         on: the folder of the data set whose objects were tested, where that is another one than
             the run's.
     """

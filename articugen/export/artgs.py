@@ -95,7 +95,8 @@ def _angles(row: Row) -> dict[str, float]:
 
 
 def _truth(start: Row, end: Row) -> dict[str, Any]:
-    """Each joint's axis at the start and how far it moves, in degrees or the unit frame's unit."""
+    """Return each joint's axis at the start and how far it moves, in degrees or the unit frame's
+    unit."""
     moved = []
     for joint, other in zip(start.joints, end.joints, strict=True):
         kind, unit = ("rotate", 180.0 / np.pi) if joint.kind == "revolute" else ("translate", 1.0)

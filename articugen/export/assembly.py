@@ -19,7 +19,7 @@ from articugen.meshes.model_text import obj_text
 from articugen.meshes.simpler import simpler
 
 DENSITY = 500.0
-"""kg/m^3, of wood. Models do not tell theirs; mass and inertia follow from it and the volume."""
+"""kg/m^3, of wood. Models do not state theirs; mass and inertia follow from it and the volume."""
 
 SLOWING = 0.1
 """Seconds in which a joint that nothing drives loses two thirds of its speed. A lid that is let go

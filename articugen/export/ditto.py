@@ -67,7 +67,7 @@ def _scene(start: Row, end: Row) -> dict[str, NDArray]:
 
 
 def _carried(cloud: NDArray[np.float32], part: Bytes, here: Row, there: Row) -> NDArray[np.float32]:
-    """The points of `cloud` (n, 3), each with its part, where they are in the other state."""
+    """Return points of `cloud` (n, 3), each with its part, where they are in the other state."""
     moved = np.empty_like(cloud)
     for k in range(len(here.parts)):
         T = there.parts[k].motion @ invert_rigid(here.parts[k].motion)

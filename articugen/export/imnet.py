@@ -54,7 +54,8 @@ def _rows(item: Item, target: Target) -> Iterator[dict[str, NDArray]]:
 
 
 def _one_a_cell(row: Row, voxels: Bools) -> Ints:
-    """(4096,) a voxel in each cell of the 16^3 grid: a random inside one, else a random one."""
+    """Return (4096,) a voxel in each cell of the 16^3 grid: a random inside one, else a random
+    one."""
     k = _FINE // _COARSE
     number = np.arange(_FINE**3).reshape((_COARSE, k) * 3).transpose(0, 2, 4, 1, 3, 5)
     cells = number.reshape(_COARSE**3, k**3)

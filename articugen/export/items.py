@@ -85,7 +85,8 @@ def of_splits(data: DataSet) -> Iterator[Item]:
 
 
 def validation(train: DataSet) -> DataSet:
-    """The first tenth of the training objects: what trainers validate on where no split is for it.
+    """Return the first tenth of the training objects: what trainers validate on where no split is
+    for it.
 
     They stay in training, as in PPD's release."""
     objects = train.objects

@@ -42,7 +42,8 @@ def need(row: Row, what: str, count: int) -> None:
 
 
 def seen(row: Row, camera: int) -> tuple[NDArray[np.float32], Bytes]:
-    """(points (M, 3) in the camera's frame, x right, y down, z forward; the part (M,) of each)."""
+    """Return (points (M, 3) in the camera's frame, x right, y down, z forward; the part (M,) of
+    each)."""
     points = row.partial.points[camera].astype(np.float64)
     points = apply(row.partial.T_camera_world[camera], points)
     return points.astype(np.float32), row.partial.part[camera]

@@ -22,7 +22,7 @@ from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
-_SHARE = "all"  # their folder names in splits/<category>/ tell how much of the data a list has
+_SHARE = "all"  # their folder names in splits/<category>/ say how much of the data a list has
 _GREY = np.full((1, 1, 3), 128, np.uint8)
 """Its loader wants a picture of every view; shards hold no colours of points."""
 

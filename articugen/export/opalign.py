@@ -44,11 +44,11 @@ def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:
         "segmentation": part.astype(np.int64) + 1,
         "part": np.stack([
             np.concatenate([
-                (T := T_camera_unit @ own.motion)[:3, :3].ravel(),
+                (T := T_camera_unit @ here.motion)[:3, :3].ravel(),
                 apply(T, box.mean(axis=0)),
                 box[1] - box[0],
             ])
-            for own, box in zip(row.parts, boxes, strict=True)
+            for here, box in zip(row.parts, boxes, strict=True)
         ]),
         "joint": np.stack([
             np.concatenate([apply(T_camera_unit, j.pivot), T_camera_unit[:3, :3] @ j.axis])

@@ -1,8 +1,8 @@
 """Parquet: every stored field of every instance, for Hugging Face `datasets` and data frames.
 
 Numbers are what shards hold, bit for bit; docs/format.md says what each means and how whole numbers
-become coordinates. All files have one schema, whatever the objects' numbers of joints, and tell
-`datasets` the shapes, which it then gives as arrays and not as lists of lists.
+become coordinates. All files have one schema, whatever the objects' numbers of joints, and name
+the shapes to `datasets`, which it then gives as arrays and not as lists of lists.
 """
 
 import json
@@ -63,7 +63,7 @@ def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
     """Return the columns, the same for all objects of a data set.
 
     Fields and their shapes follow from the recipe, but for the numbers of joints and parts, and for
-    names, which one model tells and another does not.
+    names, which one model has and another has not.
     """
     import pyarrow as pa  # noqa: PLC0415
 
@@ -107,7 +107,7 @@ def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
 
 
 def _finish(data: DataSet, target: Target) -> None:
-    """The card that Hugging Face reads: which files are which split, and what scales what."""
+    """Write the card that Hugging Face reads: which files are which split, and what scales what."""
     licence = data.manifest.licence if data.manifest else "unknown"
     splits = "\n".join(
         f"  - split: {file_name(name)}\n    path: data/{file_name(name)}-*" for name in data.splits

@@ -82,11 +82,12 @@ class PartMeshes:
 
 
 def part_boxes(rows: DataSet) -> Floats:
-    """(P, 2, 3) boxes of an object's parts in the canonical pose: of all stored points on them
-    and in their material, brought back from every state, so that what a shut drawer hides counts.
+    """Return (P, 2, 3) boxes of an object's parts in the canonical pose: of all stored points on
+    them and in their material, brought back from every state, so that what a shut drawer hides
+    counts.
 
     Raises:
-        LeftOut: no point tells of a part.
+        LeftOut: no point is on or in a part.
     """
     boxes = np.array([[[np.inf] * 3, [-np.inf] * 3]] * len(rows[0].parts))
     for row in rows:
@@ -101,8 +102,8 @@ def part_boxes(rows: DataSet) -> Floats:
                 box[:] = np.minimum(box[0], low), np.maximum(box[1], high)
     for k in np.flatnonzero(boxes[:, 0, 0] > boxes[:, 1, 0]):
         raise LeftOut(
-            f"{rows[0].object_id}: no stored point is on or in part {k}, so that nothing tells its "
-            "size; leave the object out of the data"
+            f"{rows[0].object_id}: no stored point is on or in part {k}, so that its size is "
+            "unknown; leave the object out of the data"
         )
     return boxes
 
@@ -162,14 +163,15 @@ def part_names(row: Row) -> tuple[str, ...]:
 
 
 def unique(names: Iterable[str]) -> tuple[str, ...]:
-    """The names, but those that were there before with a number behind; no control characters."""
+    """Return the names, but those that were there before with a number behind; no control
+    characters."""
     taken: set[str] = set()
-    given = []
+    unlike = []
     for name in names:
         plain = "".join(c if c.isprintable() else "_" for c in name)
         number, chosen = 2, plain
         while chosen in taken:
             number, chosen = number + 1, f"{plain}_{number}"
         taken.add(chosen)
-        given.append(chosen)
-    return tuple(given)
+        unlike.append(chosen)
+    return tuple(unlike)

@@ -118,7 +118,7 @@ def _write(
 
 
 def _digest(data: DataSet) -> str:
-    """Tell these instances from others; InvalidArgument where two would be called alike."""
+    """Return a digest of these instances; InvalidArgument where two would be called alike."""
     digest = hashlib.sha256()
     if data.manifest is not None:
         digest.update(data.manifest.content_sha256.encode())

@@ -78,7 +78,7 @@ class Target:
         """Take the folder, which may hold a part of the same export.
 
         Args:
-            about: what tells this export from others: format, data, options.
+            about: what distinguishes this export from others: format, data, options.
 
         Raises:
             ArticugenError: it holds something else, or another process exports into it.
@@ -175,7 +175,7 @@ class Target:
                     self.folder.rmdir()
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file of the item at hand; `name` is from the folder on, with slashes."""
+        """Write a file of the current item; `name` is from the folder on, with slashes."""
         path = self._path(name)
         write_atomically(path, data)
         self._files.append(Written(name, len(data), hashlib.sha256(data).hexdigest()))
@@ -193,14 +193,15 @@ class Target:
 
     @contextmanager
     def opened(self, name: str) -> Iterator[BinaryIO]:
-        """A file of the item at hand, to write and read, for what is larger than one instance."""
+        """Yield a file of the current item, to write and read, for data larger than one
+        instance."""
         path = self._path(name)
         with written_atomically(path) as file:
             yield file
         self._files.append(Written(name, path.stat().st_size, sha256_of(path)))
 
     def _path(self, name: str) -> Path:
-        """Where a file goes: into the folder, through no link, in place of no other file."""
+        """Return the path of a file in the folder: through no link, in place of no other file."""
         try:
             path = within(self.folder, name)
             make_folder(path.parent)

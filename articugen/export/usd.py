@@ -189,23 +189,23 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
 def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:
     Gf, Sdf, UsdPhysics = _pxr("Gf", "Sdf", "UsdPhysics")
 
-    own, root = parts[part].joint, path.rpartition("/")[0]
-    assert own is not None
-    revolute = own.kind == "revolute"
+    moving, root = parts[part].joint, path.rpartition("/")[0]
+    assert moving is not None
+    revolute = moving.kind == "revolute"
     schema = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
     joint = schema.Define(stage, path)
-    joint.GetPrim().SetDisplayName(own.name)
-    joint.CreateBody0Rel().SetTargets([f"{root}/part_{own.parent}"])
+    joint.GetPrim().SetDisplayName(moving.name)
+    joint.CreateBody0Rel().SetTargets([f"{root}/part_{moving.parent}"])
     joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
     joint.CreateAxisAttr("X")
-    turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(1, 0, 0), Gf.Vec3d(*own.axis.tolist())).GetQuat())
-    joint.CreateLocalPos0Attr(Gf.Vec3f(*(own.pivot - parts[own.parent].place).tolist()))
+    turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(1, 0, 0), Gf.Vec3d(*moving.axis.tolist())).GetQuat())
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*(moving.pivot - parts[moving.parent].place).tolist()))
     joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
     joint.CreateLocalRot0Attr(turn)
     joint.CreateLocalRot1Attr(turn)
     unit = np.degrees(1.0) if revolute else 1.0
-    joint.CreateLowerLimitAttr(own.lower * unit)
-    joint.CreateUpperLimitAttr(own.upper * unit)
+    joint.CreateLowerLimitAttr(moving.lower * unit)
+    joint.CreateUpperLimitAttr(moving.upper * unit)
     along = "angular" if revolute else "linear"
     damping, friction = resistance(parts, part)
     drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), along)

@@ -86,7 +86,8 @@ def _to_triangle(q, triangles, f):
 
 @helper
 def _on_inner_side(q, a, b, normal):
-    """Whether `q`, dropped on the triangle's plane, lies on the inner side of its edge a, b."""
+    """Return whether `q`, dropped on the triangle's plane, lies on the inner side of its edge a,
+    b."""
     ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = q[0] - a[0], q[1] - a[1], q[2] - a[2]
     x, y, z = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx

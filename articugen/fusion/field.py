@@ -5,7 +5,7 @@ along the ray from a point to the depth map. Read at whole pixels, that swells o
 part. Here each view is read exactly: the maps say which face is seen at each pixel, so the distance
 to a face's plane is known at the point's own sub-pixel position. Where the four pixels around it
 disagree and no face among theirs settles it, the ray itself is followed through the faces. Maps
-from a backend that does not tell faces are interpolated instead, which is less exact.
+from a backend without faces are interpolated instead, which is less exact.
 
 Rules (`recipe.Fusion.rule`):
     seen: a point is outside where at least one view sees it free. Its value is the mean truncated
@@ -40,7 +40,8 @@ _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
 
 GLANCES = 5
-"""So many views see most of what is free: they look from all around, see `views.spread_order`."""
+"""Number of views that see most of what is free: they look from all around, see
+`views.spread_order`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class FusedField:
     """The fused field of one set of depth maps.
 
     Attributes:
-        maps: the face seen at each pixel; from backends that cannot tell, the depth.
+        maps: the face seen at each pixel; from backends without faces, the depth.
         triangles: (F, 16) float32 of the faces as posed, see `bvh.triangle_table`.
         bvh: of each part in its canonical pose.
         part_motion: (P, 4, 4) of each part from its canonical pose.
@@ -66,7 +67,7 @@ class FusedField:
     thin: ThinVoxels = NOTHING
 
     def is_free(self, points: NDArray[np.floating], which: Indices | None = None) -> Bools:
-        """Which of `points` (n, 3), unit frame, lie outside: (n,); of points[which] if given.
+        """Return (n,) which of `points` (n, 3), unit frame, lie outside; of points[which] if given.
 
         With the rule `seen` much cheaper than `value`: the first view that sees it free settles a
         point.
@@ -142,7 +143,7 @@ class OwnSolid:
     """A part seen alone, in its canonical pose: its material.
 
     Attributes:
-        field: of its own views, and what lies open to them: the dark corners of a deep shelf are no
+        field: of its own views, and the space open to them: the dark corners of a deep shelf are no
             material, whatever the rule.
         box: (2, 3) that holds it.
         closed: its closed pieces: what they wind around no view can see.
@@ -199,7 +200,8 @@ class PosedSolids:
     def holds(
         self, part: int, points: NDArray[np.float32], which: Indices, *, glance: bool = False
     ) -> Indices:
-        """Those of `which`, indices into `points` (n, 3), that the part's own solid holds."""
+        """Return those of `which`, indices into `points` (n, 3), that the part's own solid
+        holds."""
         solid, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
         near = kernels.in_box(points, which, to_canonical, solid.box)
         return near[solid.holds(apply(to_canonical, points[near]), glance=glance)]
@@ -224,7 +226,8 @@ class PosedSolids:
         return free
 
     def surely_holds(self, points: NDArray[np.floating], part: Bytes) -> Bools:
-        """(n,) whether closed pieces of the part (n,) of each of `points` (n, 3) wind around it."""
+        """Return (n,) whether closed pieces of the part (n,) of each of `points` (n, 3) wind around
+        it."""
         inside = np.zeros(len(points), np.bool_)
         for k, T in enumerate(invert_rigid(self.part_motion)):
             closed = self.own[k].closed
@@ -234,7 +237,8 @@ class PosedSolids:
         return inside
 
     def value(self, points: NDArray[np.floating]) -> Floats:
-        """(n,) the least of the parts' own values at `points` (n, 3), see `FusedField.value`."""
+        """Return (n,) the least of the parts' own values at `points` (n, 3), see
+        `FusedField.value`."""
         value = np.full(len(points), self.settings.truncation)
         for solid, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
             value = np.minimum(value, solid.value(apply(T, points)))

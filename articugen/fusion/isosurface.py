@@ -16,7 +16,7 @@ _AT_A_TIME = 1 << 20  # voxels whose sign is asked at a time
 def extract_mesh(
     field: FusedField | PosedSolids, resolution: int, *, box: Floats | None = None
 ) -> Mesh:
-    """The zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
+    """Return zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
 
     Marching cubes on the voxel centres of a grid of `resolution`^3. Only voxels beside a
     change of sign are evaluated in full.
@@ -69,7 +69,8 @@ def _bisected(vertices: Floats, is_free: Callable[[Floats], Bools], steps: int =
 
 
 def _free(field: FusedField | PosedSolids, resolution: int, first: Ints | int, count: int) -> Bools:
-    """(n, n, n) of the centres of `count` = n voxels along each edge, from voxel `first` on."""
+    """Return (n, n, n) of the centres of `count` = n voxels along each edge, from voxel `first`
+    on."""
     voxels = np.arange(count**3)
     free = []
     for start in range(0, len(voxels), _AT_A_TIME):

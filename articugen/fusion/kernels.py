@@ -32,7 +32,7 @@ class Scene(NamedTuple):
         pinhole: whether the cameras are pinholes.
         triangles: (F, 16) as posed, see `bvh.triangle_table`.
         bvh: of each part in its canonical pose.
-        to_part: (P, 3, 4) from the pose at hand to each part's canonical pose.
+        to_part: (P, 3, 4) from the current pose to each part's canonical pose.
         pixel: the width of a pixel at the object, unit frame.
         thin: see `thin.ThinVoxels`.
     """
@@ -165,7 +165,8 @@ def _voxel(x, n, first):
 
 @kernel
 def in_box(points, which, T, box):
-    """Those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2, 3)."""
+    """Return those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2,
+    3)."""
     hits = np.empty(which.shape[0], np.int64)
     count = 0
     for n in range(which.shape[0]):
@@ -271,7 +272,7 @@ def _outside(u, v, image):
 
 @helper
 def _read_around(u, v, count, face_map, at, around):
-    """The faces at the four pixels around each (u, v); -1 outside the image."""
+    """Return the faces at the four pixels around each (u, v); -1 outside the image."""
     height, width = face_map.shape
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
     for n in range(count):

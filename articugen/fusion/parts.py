@@ -35,7 +35,7 @@ class SolidPart:
         closed: (F,) which are those of closed pieces.
         tree, box: of its faces, and what holds them, (2, 3).
         pieces: the closed ones; None where the recipe's rule takes the views' word alone.
-        judged_by: the field that told so; None where sheets have become slabs, which it knows not.
+        judged_by: the field that says so; None where sheets have become slabs, which it knows not.
         slit: the area before sheets of what was seen open and lost width, or is no more, as they
             became slabs: it was narrower than those are thick.
     """
@@ -72,15 +72,15 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     probes = np.flatnonzero(~closed[where.face] | covered)
     free[1, probes] = ~alone.holds(where.points[1][probes])
     shown = solidify.shown_sides(soup, field.maps)
-    mesh, seen = solidify.solidified(soup, where, free, shown, thickness, closed)
+    mesh, is_seen = solidify.solidified(soup, where, free, shown, thickness, closed)
     if np.array_equal(mesh.faces, soup.faces):
-        return SolidPart(mesh, seen, closed, field.bvh, box, pieces, field)
+        return SolidPart(mesh, is_seen, closed, field.bvh, box, pieces, field)
     slit = _slit(soup, where, free.all(axis=0) & ~closed[where.face], thickness, field.bvh)
     tree, piece = tree_of(mesh.vertices[mesh.faces]), solidify.closed_piece(mesh)
     pieces, closed = _closed_pieces(mesh, piece, settings, tree), piece >= 0
     if len(mesh.faces) == len(soup.faces):
-        return SolidPart(mesh, seen, closed, tree, box, pieces, field)
-    return SolidPart(mesh, seen, closed, tree, _box(mesh), pieces, None, slit)
+        return SolidPart(mesh, is_seen, closed, tree, box, pieces, field)
+    return SolidPart(mesh, is_seen, closed, tree, _box(mesh), pieces, None, slit)
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
@@ -105,8 +105,8 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
         thin=thin_voxels(part.mesh, pixel_width(maps.views), part.tree),
     )
     judged = part.judged_by or field
-    own = replace(field, flood=flooded(judged, part.mesh).flood)
-    return OwnSolid(own, part.box, part.pieces)
+    alone = replace(field, flood=flooded(judged, part.mesh).flood)
+    return OwnSolid(alone, part.box, part.pieces)
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:

@@ -48,7 +48,8 @@ class Flood:
 
 
 def walls(mesh: LabelledMesh, opening: float) -> Bytes:
-    """(n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two voxels."""
+    """Return (n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two
+    voxels."""
     return touched(mesh, max(4, round(2.0 / opening)))
 
 
@@ -91,7 +92,8 @@ def mark(state, first, n, corners):
 
     Args:
         state: (a, b, c) uint8: a box of a lattice of n^3 voxels that begins at voxel `first`.
-        corners: (F, 3, 3) in voxels of the lattice; what lies in the lattice lies in the box.
+        corners: (F, 3, 3) in voxels of the lattice; the part of them in the lattice lies in the
+            box.
     """
     for f in range(corners.shape[0]):
         ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]

@@ -25,7 +25,7 @@ SHEET_SHARE = 1.0 / 3.0
 closed piece only where none of its samples has depth behind it."""
 
 FINE_FACES = 20_000
-"""From so many faces of a part on, its small ones are asked together, see `probes`."""
+"""Faces of a part from which on its small ones are asked together, see `probes`."""
 
 SMALL_AREA, TOGETHER = SAMPLE_AREA / 8.0, 0.01
 """The largest of the small faces, and how far those reach that are asked together; unit frame."""
@@ -34,7 +34,7 @@ MOST_AT_AN_EDGE = 8
 """Of more faces than these at one edge, only neighbours in their order are examined."""
 
 LONGEST_MITRE = 2.0
-"""A corner of a bent sheet is lifted by at most so many times the sheet's thickness."""
+"""Most that a corner of a bent sheet is lifted, in thicknesses of the sheet."""
 
 SMOOTH_COSINE = np.sqrt(0.75)
 """Sheets that meet at less than 30 degrees share their edge; steeper ones are walled on it."""
@@ -53,7 +53,7 @@ class Probes:
 
 
 def welded(vertices: Floats) -> Indices:
-    """(V,) the same number for vertices at the same place (within 1e-6 of the unit frame)."""
+    """Return (V,) same number for vertices at the same place (within 1e-6 of the unit frame)."""
     return np.unique(_key(*np.round(vertices * 2.0**20).astype(np.int64).T), return_inverse=True)[1]
 
 
@@ -135,7 +135,8 @@ def _spread(vertices, faces, counts, normals, distance, total):
 
 
 def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> Indices:
-    """(2, F) in how many pixels each face is seen from the side of its normal, and from the other.
+    """Return (2, F) the number of pixels in which each face is seen from the side of its normal,
+    and from the other.
 
     Zeros where the maps do not say which face is seen.
     """
@@ -193,14 +194,14 @@ def solidified(
     probed = (share[0] > 0.0) | (share[1] > 0.0)
     turned = np.where(probed, share[1] > share[0], shown[1] > shown[0]) & ~solid
     faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
-    seen = (share[0] > 0.0) | (shown[0] > 0) | (((share[1] > 0.0) | (shown[1] > 0)) & ~solid)
+    is_seen = (share[0] > 0.0) | (shown[0] > 0) | (((share[1] > 0.0) | (shown[1] > 0)) & ~solid)
     kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
     slabs = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
     vertices = np.concatenate([kept.vertices, slabs.vertices])
     all_faces = np.concatenate([kept.faces, slabs.faces + len(kept.vertices)])
     parts = np.concatenate([kept.part_of_face, slabs.part_of_face])
-    seen = np.concatenate([seen[~sheet], np.ones(len(slabs.faces), np.bool_)])
-    return LabelledMesh(vertices, all_faces, parts), seen
+    is_seen = np.concatenate([is_seen[~sheet], np.ones(len(slabs.faces), np.bool_)])
+    return LabelledMesh(vertices, all_faces, parts), is_seen
 
 
 def _slabs(
@@ -258,7 +259,8 @@ def _smooth_pairs(weld: Indices, normals: Floats) -> Indices:
 
 
 def _mitres(corners: Floats, normals: Floats, pairs: Indices) -> Floats:
-    """(F, 3, 3) where each corner of a face goes as the face is lifted by 1 along its normal.
+    """Return (F, 3, 3) the direction of each corner of a face as the face is lifted by 1 along its
+    normal.
 
     The same place, or the opposite one, for corners that `_smooth_pairs` joins: along the mean of
     the normals there, weighted by the faces' angles (Thuermer and Wuethrich 1998), and further the
@@ -315,7 +317,7 @@ def _join(parent, side, a, b, turn):
 
 @helper
 def _settle(parent, side, c):
-    """The root of corner `c`, which becomes its parent; its side is then that towards the root."""
+    """Return root of corner `c` and make it its parent; its side is then that towards the root."""
     root, turn = c, 1.0
     while parent[root] != root:
         turn *= side[root]
@@ -334,7 +336,8 @@ def closed(mesh: LabelledMesh) -> Bools:
 
 
 def closed_piece(mesh: LabelledMesh) -> Ints:
-    """(F,) a number for the closed piece that each face belongs to, -1 where it belongs to none.
+    """Return (F,) a number for the closed piece that each face belongs to, -1 where it belongs to
+    none.
 
     Faces that hang together by corners are a piece. It is closed where along each of its edges as
     many faces run one way as the other, and its volume is positive. From outside, only fronts are

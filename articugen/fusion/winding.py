@@ -1,12 +1,12 @@
 """What surely lies inside: the winding number about the closed pieces of a part.
 
 Whatever way a ray leaves a point around which a closed surface winds, it meets a face, so that no
-view can see the point free. One ray's signed crossings tell the winding number, where a hundred
+view can see the point free. One ray's signed crossings give the winding number, where a hundred
 views would have to be asked; and a corner that hides between the pixels of a view is not missed.
 Where a ray passes an edge within rounding another is sent; where all do, or where the point is as
-close to a face, nothing is said.
+close to a face, the answer is unknown.
 
-Most pieces are convex: boxes, bars, keys, feet. What lies behind all planes of one is inside it,
+Most pieces are convex: boxes, bars, keys, feet. A point behind all planes of one is inside it,
 and no ray need be sent through it.
 """
 
@@ -34,7 +34,7 @@ _DOUBT = 1 << 30
 _MOST_FACES = 256  # of a convex piece: of more faces a ray meets only a few
 _FLAT, _NEAR = 1e-6, 1e-5
 """Unit frame: no corner of a convex piece lies further than the first in front of any of its faces;
-of what is closer than the second to one, rays through all pieces tell."""
+points closer than the second to one are decided by rays through all pieces."""
 
 
 class ClosedPieces(NamedTuple):
@@ -178,8 +178,9 @@ def _convex_around(p, box, skip, leaf, piece, first_plane, planes):
 
 @helper
 def _turns(p, whole, box, skip, leaf, triangles):
-    """How often the faces of a tree wind around `p`; `_DOUBT` where no ray tells. `whole` has the
-    box around all pieces first: the ways of rays do not hang on which of them are convex."""
+    """Return how often the faces of a tree wind around `p`; `_DOUBT` where no ray decides. `whole`
+    has the box around all pieces first: the ways of rays do not hang on which of them are
+    convex."""
     x = _outwards(p[0], np.float64(whole[0, 0]), np.float64(whole[0, 3]))
     y = _outwards(p[1], np.float64(whole[0, 1]), np.float64(whole[0, 4]))
     z = _outwards(p[2], np.float64(whole[0, 2]), np.float64(whole[0, 5]))

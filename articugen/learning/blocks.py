@@ -32,7 +32,7 @@ _GRID = 64
 """Cells along an edge of the grid that clouds fill."""
 
 _FEW = 512
-"""About so many points of a cloud are enough for a PointNet beside a grid."""
+"""Points of a cloud, about, that are enough for a PointNet beside a grid."""
 
 _USUAL = 2048
 """Points of a cloud whose cells are as full as counted; others are counted in proportion."""
@@ -65,7 +65,7 @@ class PointNet(nn.Module):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")  # pyright: ignore[reportArgumentType]
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
+        """Return the latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
         most = 128 if spares(cloud) else len(self.blocks) * 128  # of what `_decisive` keeps
         if torch.is_grad_enabled() and cloud.shape[1] > most:
             cloud = gather_points(cloud, self._decisive(cloud))
@@ -73,16 +73,16 @@ class PointNet(nn.Module):
 
     @torch.no_grad()
     def _decisive(self, cloud: Tensor) -> Tensor:
-        """(B, 128 a block) the indices of the points that hold a maximum in any of them; on a CPU
-        less, since many hold several.
-        """
+        """Return (B, 128 a block) the indices of the points that hold a maximum in any of them; on
+        a CPU less, since many hold several."""
         index = one_by_one(
-            lambda c: torch.cat([argmax_of_points(each) for each in self._each(c)], 1), cloud
+            lambda c: torch.cat([argmax_of_points(features) for features in self._each(c)], 1),
+            cloud,
         )
         return distinct(index) if spares(index) else index
 
     def _each(self, cloud: Tensor) -> list[Tensor]:
-        """What each block makes of each point: (B, n, 128).
+        """Return the features of each point by each block: (B, n, 128).
 
         From the second block on, half of a point's input is the pooled vector, the same for every
         point: its share of the layer is computed once a cloud.
@@ -91,19 +91,20 @@ class PointNet(nn.Module):
         blocks = [first(self.position(cloud).relu_())]
         for block in others:
             assert isinstance(block, nn.Linear)
-            own, shared = block.weight.split(128, dim=1)
+            alone, shared = block.weight.split(128, dim=1)
             common = nn.functional.linear(blocks[-1].amax(1).relu(), shared, block.bias)
-            blocks.append(blocks[-1].relu() @ own.T + common[:, None])
+            blocks.append(blocks[-1].relu() @ alone.T + common[:, None])
         return blocks
 
 
 class GridEncoder(nn.Module):
-    """Where a cloud has points, and where not, cell by cell: patches of a grid, merged three times.
+    """Encoder of where a cloud has points and where not, cell by cell: patches of a grid, merged
+    three times.
 
     A PointNet knows of each of its channels the greatest value alone; where one drawer ends and the
-    next begins is told by what lies beside what. All layers are linear in patches that do not
-    overlap (as in Vision Transformers, Dosovitskiy et al. 2021), since products of matrices are
-    what both CPUs and the optimisers here are best at.
+    next begins is known by which cells lie beside each other. All layers are linear in patches that
+    do not overlap (as in Vision Transformers, Dosovitskiy et al. 2021), since products of matrices
+    are what both CPUs and the optimisers here are best at.
     """
 
     def __init__(self, code: int) -> None:
@@ -117,21 +118,24 @@ class GridEncoder(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
+        """Return the latent (B, code) of clouds (B, n, 3), whatever the order of their points."""
         x = self._few(cloud) if takes_kernels(cloud) else self._all(cloud)
         return self.latent(self.whole(x).relu())
 
     def _all(self, cloud: Tensor) -> Tensor:
-        """What the layers before the last two make of all patches: (B, 64 64)."""
+        """Return the features of all patches before the last two layers: (B, 64 64)."""
         x = 2.0 * filled(cloud, _GRID).log1p()[..., None]
         for layer, cells, along in ((self.patch, 64, 4), (self.first, 16, 2), (self.second, 8, 2)):
             x = leaky_relu(layer(_merged(x, cells, along)), 0.1)
         return x.flatten(1)
 
     def _few(self, cloud: Tensor) -> Tensor:
-        """The same, from what holds something alone; what does not is the same everywhere."""
-        place, held = map(torch.from_numpy, patches(cloud.detach().contiguous().numpy(), 64, 4))
-        few = _Few(place, 2.0 * (held * (_USUAL / cloud.shape[1])).log1p(), held.new_zeros(4**3))
+        """Return the same from the patches that hold something; those that hold nothing are the
+        same everywhere."""
+        place, features = map(torch.from_numpy, patches(cloud.detach().contiguous().numpy(), 64, 4))
+        few = _Few(
+            place, 2.0 * (features * (_USUAL / cloud.shape[1])).log1p(), features.new_zeros(4**3)
+        )
         few = few.joined(self.patch).merged(16).joined(self.first).merged(8).joined(self.second)
         return few.all(len(cloud) * 4**3).view(len(cloud), -1)
 
@@ -141,27 +145,32 @@ class _Few(NamedTuple):
     all others hold (C,)."""
 
     place: Tensor
-    held: Tensor
+    features: Tensor
     others: Tensor
 
     def joined(self, layer: nn.Module) -> "_Few":
         """After a layer of `GridEncoder`."""
-        held, others = leaky_relu(layer(self.held), 0.1), leaky_relu(layer(self.others), 0.1)
-        return _Few(self.place, held, others)
+        features, others = (
+            leaky_relu(layer(self.features), 0.1),
+            leaky_relu(layer(self.others), 0.1),
+        )
+        return _Few(self.place, features, others)
 
     def merged(self, cells: int) -> "_Few":
-        """As `_merged`, for blocks of two of `cells` along each edge; those of which one is here
-        are."""
+        """Merge blocks of two of `cells` along each edge, as `_merged` does; a block is here if one
+        of its cells is."""
         x, y, z = self.place // cells**2, self.place // cells % cells, self.place % cells
         block = (x // 2 * (cells // 2) + y // 2) * (cells // 2) + z // 2
         place, at = block.unique(return_inverse=True)
         inside = (x % 2 * 2 + y % 2) * 2 + z % 2
-        held = self.others.expand(8 * len(place), -1).index_copy(0, 8 * at + inside, self.held)
-        return _Few(place, held.view(len(place), -1), self.others.repeat(8))
+        features = self.others.expand(8 * len(place), -1).index_copy(
+            0, 8 * at + inside, self.features
+        )
+        return _Few(place, features.view(len(place), -1), self.others.repeat(8))
 
     def all(self, count: int) -> Tensor:
-        """What each of `count` cells holds, (count, C)."""
-        return self.others.expand(count, -1).index_copy(0, self.place, self.held)
+        """Return the contents of each of `count` cells, (count, C)."""
+        return self.others.expand(count, -1).index_copy(0, self.place, self.features)
 
 
 class BothEncoders(nn.Module):
@@ -173,7 +182,7 @@ class BothEncoders(nn.Module):
         nn.init.zeros_(grid.latent.weight)
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """The latent (B, code) of clouds (B, n, 3)."""
+        """Return the latent (B, code) of clouds (B, n, 3)."""
         return self.points(cloud[:, :: max(cloud.shape[1] // _FEW, 1)]) + self.grid(cloud)
 
 
@@ -220,8 +229,8 @@ def occupied_voxels(cloud: Tensor, voxels: int) -> Tensor:
 
 @torch.no_grad()
 def filled(cloud: Tensor, cells: int) -> Tensor:
-    """(B, cells^3) how many of 2,048 points each cell of the unit frame holds; a point counts to
-    the eight cells whose centres surround it, by how near they are. Clouds (B, n, 3)."""
+    """Return (B, cells^3) how many of 2,048 points each cell of the unit frame holds; a point
+    counts to the eight cells whose centres surround it, by how near they are. Clouds (B, n, 3)."""
     at = ((cloud + 0.5) * cells - 0.5).clamp(0.0, cells - 1.001)
     low = at.floor()
     share = torch.stack([1.0 - (at - low), at - low])
@@ -234,7 +243,7 @@ def filled(cloud: Tensor, cells: int) -> Tensor:
 
 
 def _merged(x: Tensor, cells: int, along: int) -> Tensor:
-    """What is in cells (B, cells^3, C), joined for blocks of `along` cells an edge."""
+    """Return the contents of cells (B, cells^3, C), joined for blocks of `along` cells an edge."""
     blocks = cells // along
     x = x.unflatten(1, 3 * (blocks, along))
     return x.permute(0, 1, 3, 5, 2, 4, 6, 7).flatten(4).flatten(1, 3)
@@ -269,7 +278,7 @@ class Descent:
         self._noted: Tensor | None = None
 
     def step(self, terms: Terms, again: Callable[[], Terms], iteration: int, rate: float) -> None:
-        """One step of the learning rate `rate`.
+        """Make one step of the learning rate `rate`.
 
         Args:
             again: evaluates the same terms once more, to find the one to blame.
@@ -316,7 +325,7 @@ class Descent:
         )
 
     def state(self) -> dict[str, Tensor]:
-        """Where the optimiser stands."""
+        """Return the optimiser's state."""
         return self.optimiser.state()
 
     def load(self, state: dict[str, Tensor]) -> None:
@@ -325,7 +334,7 @@ class Descent:
 
 
 def _blame(network: nn.Module, terms: Terms) -> str:
-    """The terms that are not finite, or else those whose gradient is not."""
+    """Return the terms that are not finite, or else those whose gradient is not."""
     values = [value.detach() for value in terms.values()]
     bad = [name for name, value in zip(terms, values, strict=True) if not bool(value.isfinite())]
     if bad:

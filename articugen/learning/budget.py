@@ -13,7 +13,7 @@ import numpy as np
 
 from articugen.core.errors import ArticugenError
 from articugen.learning import loop
-from articugen.learning.loop import Progress, Tell, Training
+from articugen.learning.loop import Notify, Progress, Training
 from articugen.learning.method import find_method
 from articugen.learning.recipe import Budget, TrainRecipe
 from articugen.learning.run_folder import META
@@ -25,7 +25,7 @@ CHECKS = 5
 """How often a run is validated and saved."""
 
 
-def scaled_to(seconds: float, what: Training, tell: Tell = lambda _: None) -> TrainRecipe:
+def scaled_to(seconds: float, what: Training, notify: Notify = lambda _: None) -> TrainRecipe:
     """Return a training's recipe, so long that it takes a number of seconds.
 
     It has one seed. What learns no numbers stays as it is.
@@ -41,7 +41,7 @@ def scaled_to(seconds: float, what: Training, tell: Tell = lambda _: None) -> Tr
     recipe = what.recipe
     if find_method(recipe.method).start(recipe, seed=0, device=META).parameters == 0:
         return recipe
-    start, pace, check = _pace(what, tell)
+    start, pace, check = _pace(what, notify)
     stages = recipe.schedule.stages
     whole = sum(n * stage.iterations for n, stage in zip(pace, stages, strict=True))
     share = (seconds - start - CHECKS * check) / whole
@@ -55,7 +55,7 @@ def scaled_to(seconds: float, what: Training, tell: Tell = lambda _: None) -> Tr
     return recipe.scaled(share, CHECKS, budget=budget.model_dump())
 
 
-def _pace(what: Training, tell: Tell) -> tuple[float, list[float], float]:
+def _pace(what: Training, notify: Notify) -> tuple[float, list[float], float]:
     """Return seconds before the first iteration, of an iteration in each stage, and of one time
     that it is validated and saved."""
     folder, recipe = what.runs / "pace", what.recipe
@@ -74,7 +74,7 @@ def _pace(what: Training, tell: Tell) -> tuple[float, list[float], float]:
     def note(now: Progress) -> None:
         if not now.said:
             ends.append(clock())
-        tell(replace(now, iteration=0, terms=None, validation=None, said="measuring the pace"))
+        notify(replace(now, iteration=0, terms=None, validation=None, said="measuring the pace"))
 
     loop.train(replace(what, recipe=tried, runs=folder, resume=None, name="0"), on_progress=note)
     took = np.diff([begun, *ends])

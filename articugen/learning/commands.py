@@ -29,7 +29,7 @@ from articugen.evaluation.report import tables as written
 from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
-from articugen.learning.loop import Tell
+from articugen.learning.loop import Notify
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
     cloud_of_shard,
@@ -50,7 +50,7 @@ RecipeLike = str | Path | Mapping[str, Any] | TrainRecipe
 
 STATES = 8
 """Random states of a test object that are evaluated, unless said otherwise: label IoU differs
-more between objects than between states (docs/ppd.md), so more take longer and tell little."""
+more between objects than between states (docs/ppd.md), so more take longer and add little."""
 
 FEW_OBJECTS = 20
 """Fewer than the smallest category's 24."""
@@ -77,7 +77,7 @@ def train(
     resume: FolderLike | None = None,
     device: str = "cpu",
     threads: int = 0,
-    on_progress: Tell = lambda _: None,
+    on_progress: Notify = lambda _: None,
 ) -> RunFolder:
     """Train on a data set, or on several, or go on with a run.
 
@@ -112,8 +112,8 @@ def train(
     else:
         resume = Path(resume)
         settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
-        asked = load_recipe(recipe or settings, method=method)
-        if not with_settings(asked, changes).same_but_seeds(settings):
+        wanted = load_recipe(recipe or settings, method=method)
+        if not with_settings(wanted, changes).same_but_seeds(settings):
             raise InvalidCheckpoint(
                 f"{resume}: was started with another recipe; leave out --recipe and --set, or "
                 "start a new run"
@@ -154,7 +154,7 @@ def evaluate(
             finer one as well.
         label_poses: whose poses vote for labels, `canonical`, or `all` for another label IoU too.
         states: random states an object; None is all, as in the paper.
-        threads: of the CPU, which wait for each other where one cloud is looked at after the
+        threads: of the CPU, which wait for each other where one cloud is examined after the
             other; 0 leaves it to torch.
         on: the folder of another data set, all objects of which are tested instead: none of them
             was trained on.
@@ -292,10 +292,14 @@ def draw_examples(
     examples = []
     for folder in evaluated(runs):
         result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
-        own = Path(data or RunFolder(folder).about()["data"]["folder"])
-        own = own / point.category if data and (own / point.category).is_dir() else own
-        check_splits(own, point.category)
-        about = (point.category, point.recipe.name, own)
+        folder_of_data = Path(data or RunFolder(folder).about()["data"]["folder"])
+        folder_of_data = (
+            folder_of_data / point.category
+            if data and (folder_of_data / point.category).is_dir()
+            else folder_of_data
+        )
+        check_splits(folder_of_data, point.category)
+        about = (point.category, point.recipe.name, folder_of_data)
         reconstruct = partial(point.learner().reconstruct, resolution=_finer(result))
         examples.append(figures.Example(*about, reconstruct, result))
     figures.draw_examples(Path(path), examples)
@@ -304,7 +308,7 @@ def draw_examples(
 
 @dataclass(frozen=True)
 class Predicted:
-    """What `predict` has made.
+    """Outcome of `predict`.
 
     Attributes:
         cloud: what was given.
@@ -320,7 +324,8 @@ class Predicted:
     cut: tuple[Path, ...]
 
     def lines(self) -> list[str]:
-        """Each part that has a surface; kind and state of its joint, in the cloud's own unit."""
+        """Return a line for each part that has a surface; kind and state of its joint, in the
+        cloud's own unit."""
         joints, lines = self.found.joints, []
         for i in sorted(set(self.found.part.tolist())):
             if joints is None:
@@ -366,55 +371,55 @@ def predict(
     learner = point.learner()
     if cloud.suffix == ".h5":
         eye = camera if learner.inputs.partial else None
-        given = cloud_of_shard(cloud, row, category=point.category, camera=eye)
+        shape = cloud_of_shard(cloud, row, category=point.category, camera=eye)
     else:
-        given = cloud_of_file(cloud, fit=fit)
-    found = learner.reconstruct(given.points, resolution=resolution)
-    path = write_rig(found, Path(out), frame=given.frame)
-    pieces = cut(given, found)
-    files = write_cut(pieces, Path(out), given.frame)
-    files.append(draw_cut(pieces, found, Path(out) / "input.png"))
-    return Predicted(given, found, path, tuple(files))
+        shape = cloud_of_file(cloud, fit=fit)
+    predicted = learner.reconstruct(shape.points, resolution=resolution)
+    path = write_rig(predicted, Path(out), frame=shape.frame)
+    pieces = cut(shape, predicted)
+    files = write_cut(pieces, Path(out), shape.frame)
+    files.append(draw_cut(pieces, predicted, Path(out) / "input.png"))
+    return Predicted(shape, predicted, path, tuple(files))
 
 
 def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
-    """What to know before a training on a data set, or on several."""
-    folders, found = _folders(data), []
+    """Return advice before a training on a data set, or on several."""
+    folders, advice = _folders(data), []
     counts = [
         sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
     ]
     if sum(counts) < FEW_OBJECTS:
-        found.append(
+        advice.append(
             f"{folders[0]}: {sum(counts)} training objects show that all works, but teach little "
             "that carries over to others; for that make the full data set, without RECIPE=quick or "
             "OBJECTS="
         )
     for folder, count in zip(folders, counts, strict=True):
         if others := lying_otherwise(folder):
-            found.append(
+            advice.append(
                 f"{folder}: the joints of {len(others)} of the {count} training objects lie along "
                 f"other axes than most ({', '.join(others[:3])}{', ...' if others[3:] else ''}); a "
                 "category is learnt in a frame that its objects share, so turn those that lie "
                 "turned by mistake"
             )
     if not find_spec("tensorboard"):
-        found.append(
+        advice.append(
             "tensorboard is not installed, so metrics go to metrics.jsonl alone; for both: "
             + installing("tensorboard")
         )
-    return found
+    return advice
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
-    """Of one data set or of several, as the loop takes them.
+    """Return the folder of one data set, or those of several, as the loop takes them.
 
     Raises:
         ArticugenError: there is none.
     """
-    each = (data,) if isinstance(data, str | os.PathLike) else tuple(data)
-    if not each:
+    folders = (data,) if isinstance(data, str | os.PathLike) else tuple(data)
+    if not folders:
         raise ArticugenError("no data set to train on; give its folder")
-    return tuple(map(Path, each))
+    return tuple(map(Path, folders))
 
 
 def newest(run: FolderLike) -> Path:

@@ -21,7 +21,7 @@ from articugen.evaluation.report import tables
 from articugen.evaluation.results import FILE, read_evaluation
 from articugen.learning import commands, loop
 from articugen.learning.budget import scaled_to
-from articugen.learning.loop import Progress, Tell, Training
+from articugen.learning.loop import Notify, Progress, Training
 from articugen.learning.method import load_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import LATEST, RunFolder
@@ -59,39 +59,39 @@ class Entry:
         return ""
 
     def _run(self, seed: int) -> None:
-        path, tell = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
+        path, notify = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
         if not (path / LATEST).is_file():
             shutil.rmtree(path, ignore_errors=True)
-        recipe = self._scaled(tell)
+        recipe = self._scaled(notify)
         resume = path if path.is_dir() else None
         what = replace(self.what, recipe=recipe, seed=seed, name=str(seed), resume=resume)
         if resume and (path / "evaluation" / FILE).is_file():
             what.resumed(path)  # or raise that it is another one
             return
-        loop.train(what, on_progress=tell)
+        loop.train(what, on_progress=notify)
         n = recipe.schedule.iterations
         folder = what.data if isinstance(what.data, Path) else what.data[0]
         commands.evaluate(
             path, folder, label_poses="all", states=self.states,
-            on_object=lambda name: tell(Progress(n, n, said=f"evaluating: {name}")),
+            on_object=lambda name: notify(Progress(n, n, said=f"evaluating: {name}")),
         )  # fmt: skip
 
-    def _scaled(self, tell: Tell) -> TrainRecipe:
+    def _scaled(self, notify: Notify) -> TrainRecipe:
         """Return the recipe that the seeds are trained by: that of one that has begun, or new."""
-        asked = self.what.recipe
+        wanted = self.what.recipe
         for path in sorted(self.what.runs.glob("*/recipe.yaml")):
             if path.parent.name == "pace":
                 continue
             recipe = RunFolder(path.parent).recipe()
-            if asked.sha256() not in (
+            if wanted.sha256() not in (
                 recipe.budget and recipe.budget.recipe_sha256,
                 recipe.sha256(),
             ):
                 raise InvalidCheckpoint(
-                    f"{path}: is of another recipe {asked.name}; move {self.what.runs} away"
+                    f"{path}: is of another recipe {wanted.name}; move {self.what.runs} away"
                 )
             return recipe
-        return scaled_to(self.seconds, self.what, tell)
+        return scaled_to(self.seconds, self.what, notify)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def compare(
     states: int | None = commands.STATES,
     jobs: int = AT_ONCE,
     device: str = "cpu",
-    on_progress: Tell = lambda _: None,
+    on_progress: Notify = lambda _: None,
     on_done: Callable[[str], None] = lambda _: None,
 ) -> Compared:
     """Train each recipe of a list for equally long, evaluate all, write tables and a picture.
@@ -191,9 +191,9 @@ def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
         raise InvalidRecipe(f"{path}: is no list of recipes; write one after a hyphen on each line")
     keys = [dict(e) if isinstance(e, Mapping) else {} for e in entries]
     recipes = [
-        load_recipe({k: v for k, v in own.items() if k != "only"} or str(entry))
-        for entry, own in zip(entries, keys, strict=True)
-        if category in (own.get("only", category), None)
+        load_recipe({k: v for k, v in settings.items() if k != "only"} or str(entry))
+        for entry, settings in zip(entries, keys, strict=True)
+        if category in (settings.get("only", category), None)
     ]
     names = [_file_name(recipe.name) for recipe in recipes]
     if twice := next((n for n in names if names.count(n) > 1), ""):

@@ -193,15 +193,15 @@ def meshes_of_greatest(logits: Floats) -> tuple[list[Floats], Floats]:
     for field in logits[1:]:
         np.maximum(second, np.minimum(first, field), out=second)
         np.maximum(first, field, out=first)
-    own = []
+    surfaces = []
     for field in logits:
         if not (field > 0.0).any():
-            own.append(_NO_TRIANGLES)
+            surfaces.append(_NO_TRIANGLES)
             continue
         lead = np.where(field == first, second, first)
         np.subtract(field, lead, out=lead)
-        own.append(zero_level(np.minimum(field, lead, out=lead)).triangles)
-    return own, zero_level(first).triangles
+        surfaces.append(zero_level(np.minimum(field, lead, out=lead)).triangles)
+    return surfaces, zero_level(first).triangles
 
 
 @torch.no_grad()

@@ -35,7 +35,7 @@ from articugen.store.manifest import Manifest
 
 @dataclass(frozen=True)
 class Progress:
-    """What is reported of an iteration; `terms` and `validation` only where they were computed."""
+    """Report of an iteration; `terms` and `validation` only where they were computed."""
 
     iteration: int
     iterations: int
@@ -54,7 +54,7 @@ which takes as much again for a while."""
 SEEDS = "seeds"
 """The folder of a race's own runs, in that of the race."""
 
-Tell = Callable[[Progress], None]
+Notify = Callable[[Progress], None]
 Log = Callable[[dict[str, Any]], None]
 
 
@@ -207,7 +207,7 @@ class Course:
 
 
 def train(
-    what: Training, *, stop_after: int | None = None, on_progress: Tell = lambda _: None
+    what: Training, *, stop_after: int | None = None, on_progress: Notify = lambda _: None
 ) -> RunFolder:
     """Train a model of one category.
 
@@ -227,7 +227,7 @@ def train(
     return follow(what.course(learner, *what.split(learner, what.device)), stop_after, on_progress)
 
 
-def follow(course: Course, stop_after: int | None, on_progress: Tell) -> RunFolder:
+def follow(course: Course, stop_after: int | None, on_progress: Notify) -> RunFolder:
     """Return the loop: from where the course stands to its schedule's end, or to `stop_after`."""
     learner, plan = course.learner, course.learner.settings.schedule
     method, end = learner.settings.method, min(plan.iterations, stop_after or plan.iterations)
@@ -261,7 +261,7 @@ def clock_of(device: str) -> Callable[[], float]:
 
 
 def shared_folder(run: RunFolder) -> Path:
-    """The folder of all runs of a category, which those of a race lie two folders deeper in."""
+    """Return folder of all runs of a category; the runs of a race lie two folders deeper in it."""
     above = run.path.parent
     return above.parent.parent if above.name == SEEDS else above
 

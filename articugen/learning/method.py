@@ -59,29 +59,29 @@ class Learner(Protocol):
 
     @property
     def parameters(self) -> int | None:
-        """How many numbers are learned for predictions: those of `network`, if there is one."""
+        """Number of values learned for predictions: those of `network`, if there is one."""
         network = getattr(self, "network", None)
         return network and sum(p.numel() for p in network.parameters() if p.requires_grad)
 
     def begin(
-        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+        self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Look at all training instances, before the first iteration of every start.
+        """Prepare from all training instances, before the first iteration of every start.
 
         Args:
             beside: a folder that several runs share, for what is worth keeping of it.
-            tell: called with a sentence on what takes time.
+            notify: called with a sentence on what takes time.
         """
 
     def learn(
         self, batch: Batch, rng: torch.Generator | None, *, iteration: int
     ) -> Mapping[str, torch.Tensor]:
-        """One step; every term of the loss, without a graph or with one.
+        """Make one step and return every term of the loss, with a graph or without.
 
         Args:
             rng: of the batch's device, for whatever is drawn besides.
             iteration: from 0; the recipe's schedule says the rate and the stage. At a stage's first
-                iteration whatever a stage starts with is made anew.
+                iteration whatever a stage starts with is made again.
 
         Raises:
             TrainingDiverged: something is not finite; nothing is spoilt by it.
@@ -92,7 +92,8 @@ class Learner(Protocol):
         """Raise TrainingDiverged for what was only noted so far, so as not to wait for a GPU."""
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
-        """What objects that were held out say; by the first number, a loss, the best is chosen."""
+        """Return measures of held-out objects; by the first, a loss, the best checkpoint is
+        chosen."""
         ...
 
     def state(self) -> dict[str, Any]:
@@ -107,7 +108,8 @@ class Learner(Protocol):
         ...
 
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
-        """What it makes of one cloud (n, 3) in the unit frame, on a grid of `resolution`^3."""
+        """Return the shape predicted from one cloud (n, 3) in the unit frame, on a grid of
+        `resolution`^3."""
         ...
 
 
@@ -119,7 +121,7 @@ class Yardstick:
         resolution: of the grid, unless said otherwise.
         reconstruct: (learner, cloud, resolution), what is measured.
         evaluate: as `evaluation.evaluate.evaluate`.
-        finer: of the grid by which labels are told as well, if no grid was asked for.
+        finer: of the second grid by which labels are measured, if no grid was asked for.
     """
 
     resolution: int
@@ -153,17 +155,17 @@ class Method(Protocol):
         return _at(self.learner)(settings, seed, device)
 
     def yardsticks(self) -> Mapping[str, Yardstick]:
-        """How it is measured elsewhere, by the protocol's name; `paper` is there for all."""
+        """Return the other ways it is measured, by protocol; `paper` is there for all."""
         return {}
 
 
 def method_names() -> list[str]:
-    """All there are."""
+    """Return the names of all methods."""
     return sorted((*METHODS, *_OTHERS.names(tuple(METHODS))))
 
 
 def find_method(name: str) -> Method:
-    """The method `name`.
+    """Return the method `name`.
 
     Raises:
         InvalidRecipe: there is none.
@@ -186,12 +188,12 @@ def _at(place: str) -> Any:
 
 
 def load_recipe(
-    asked: str | Path | Mapping[str, Any] | TrainRecipe | None = None, *, method: str | None = None
+    source: str | Path | Mapping[str, Any] | TrainRecipe | None = None, *, method: str | None = None
 ) -> TrainRecipe:
-    """A training recipe.
+    """Return a training recipe.
 
     Args:
-        asked: a name under recipes/, a path, a mapping that may say `extends`, or one that is
+        source: a name under recipes/, a path, a mapping that may say `extends`, or one that is
             resolved already; None is what the method has for that.
         method: whose recipe it must be; None is whosever it is.
 
@@ -199,13 +201,13 @@ def load_recipe(
         InvalidRecipe: no such recipe or method, bad YAML, an unknown key, a bad value, or a recipe
             of another method.
     """
-    if isinstance(asked, TrainRecipe):
-        recipe, where = asked, asked.name
-    elif isinstance(asked, Mapping):
-        data, where = resolved_mapping(asked, _learner_recipe), "the recipe"
+    if isinstance(source, TrainRecipe):
+        recipe, where = source, source.name
+    elif isinstance(source, Mapping):
+        data, where = resolved_mapping(source, _learner_recipe), "the recipe"
         recipe = parse_recipe({"name": "own"} | data, where)
     else:
-        path = _learner_recipe(str(asked or find_method(method or DEFAULT).recipe))
+        path = _learner_recipe(str(source or find_method(method or DEFAULT).recipe))
         data, where = resolved(path, _learner_recipe), str(path)
         recipe = parse_recipe({"name": path.stem} | data, where)
     if method is not None and recipe.method != method:
@@ -220,7 +222,7 @@ def _learner_recipe(name: str) -> Path:
 
 
 def parse_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
-    """A recipe from plain data; `where` is named in errors.
+    """Return a recipe from plain data; `where` is named in errors.
 
     Raises:
         InvalidRecipe: an unknown key, a bad value, or no such method.

@@ -180,7 +180,8 @@ class Soap:
         return self._joined(pieces)
 
     def state(self) -> dict[str, Any]:
-        """As it lies in memory, sides by the number of their stack; Adam's by names."""
+        """Return its state as it lies in memory, sides by the number of their stack; Adam's by
+        names."""
         sides = {
             f"{i}.{which}": side
             for i, both in enumerate(self.sides)
@@ -232,7 +233,7 @@ class _Side:
         self.gram.baddbmm_(G, G.mT, beta=keep, alpha=1.0 - keep)
 
     def find(self) -> None:
-        """The bases, the greatest eigenvalue first."""
+        """Compute the bases, the greatest eigenvalue first."""
         known = self.gram.nan_to_num(0.0, 0.0, 0.0)  # a GPU learns later of what is not finite
         self.basis.copy_(torch.linalg.eigh(known).eigenvectors.flip(-1))
 

@@ -79,17 +79,17 @@ def seen_by_a_camera(instance: Instance) -> Floats:
     return dequantize(instance.partial_points[chosen])
 
 
-def cut(cloud: Cloud, found: Reconstruction) -> Reconstruction:
-    """Return what was given in the place of the reconstructed surfaces: labelled points, or the
+def cut(cloud: Cloud, shape: Reconstruction) -> Reconstruction:
+    """Return the input instead of the reconstructed surfaces: labelled points, or the
     triangles of a mesh, each of the part whose surface is nearest. Triangles that parts share are
     cut small first."""
 
     def part_of(points: Floats) -> NDArray[np.int64]:
-        return nearest_part(points, found.triangles, found.part, found.parts)
+        return nearest_part(points, shape.triangles, shape.part, shape.parts)
 
     if cloud.triangles is None:
-        known = {"T_part": found.T_part, "joints": found.joints}
-        return labelled_points(cloud.points, part_of(cloud.points), found.parts, **known)
+        known = {"T_part": shape.T_part, "joints": shape.joints}
+        return labelled_points(cloud.points, part_of(cloud.points), shape.parts, **known)
     rest, pieces = cloud.triangles, list[Floats]()
     for _ in range(_CUTS):
         if not len(rest):
@@ -103,7 +103,7 @@ def cut(cloud: Cloud, found: Reconstruction) -> Reconstruction:
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         rest = np.concatenate([np.stack(corners, 1) for corners in quarters])
     triangles = np.concatenate([*pieces, rest])
-    return replace(found, triangles=triangles, part=part_of(triangles.mean(1)))
+    return replace(shape, triangles=triangles, part=part_of(triangles.mean(1)))
 
 
 def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT) -> list[Path]:
@@ -130,12 +130,12 @@ def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT)
     return [folder / "input.glb", write_rig(pieces, folder, "input", frame, "input_")]
 
 
-def draw_cut(pieces: Reconstruction, found: Reconstruction, path: Path) -> Path:
+def draw_cut(pieces: Reconstruction, whole: Reconstruction, path: Path) -> Path:
     """Draw what is reconstructed, and below what was given, as `cut` returns it: with all joints at
     state 0, as they are, and open."""
-    names = Names(range(found.parts), range(found.parts))
-    shares = _SHARES if found.joints else {"as given": None}
-    posed = [[_at(shape, share) for share in shares.values()] for shape in (found, pieces)]
+    names = Names(range(whole.parts), range(whole.parts))
+    shares = _SHARES if whole.joints else {"as given": None}
+    posed = [[_at(shape, share) for share in shares.values()] for shape in (whole, pieces)]
     corners = np.concatenate([shape.triangles[:, 0] for shape in posed[1]])
     camera, floor = tile_camera(corners, _AZIMUTH), float(pieces.triangles[..., 2].min())
     captions = [[(name, colour_of(0))] for name in shares]
@@ -168,7 +168,7 @@ def _welded(triangles: Floats) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def write_rig(
-    found: Reconstruction, folder: Path, name: str = "predicted", frame: Normalization = UNIT,
+    shape: Reconstruction, folder: Path, name: str = "predicted", frame: Normalization = UNIT,
     prefix: str = "",
 ) -> Path:  # fmt: skip
     """Write <prefix>part_<i>.obj and <name>.urdf; every joint is 0 where the cloud has it.
@@ -183,12 +183,12 @@ def write_rig(
     Raises:
         ArticugenError: there is no surface at all, or the folder cannot be written to.
     """
-    if found.whole is None:
+    if shape.whole is None:
         raise ArticugenError(
             f"{folder}: this model's method labels points and makes no surface, so there are no "
             "meshes; `articugen evaluate` measures it"
         )
-    if not len(found.triangles):
+    if not len(shape.triangles):
         raise ArticugenError(f"{folder}: the model sees no surface in this cloud; nothing to write")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -196,23 +196,23 @@ def write_rig(
         raise ArticugenError(f"{folder}: cannot be made ({error.strerror})") from None
     links: dict[str, list[Visual]] = {}
     joints = []
-    for i in range(found.parts):
+    for i in range(shape.parts):
         link = f"part_{i}"
-        triangles = frame.to_world(found.triangles[found.part == i])
+        triangles = frame.to_world(shape.triangles[shape.part == i])
         if i and not len(triangles):
             continue
-        kind = found.joints.kind[i] if found.joints else JointKind.FIXED
+        kind = shape.joints.kind[i] if shape.joints else JointKind.FIXED
         origin = np.zeros(3)
-        if found.joints and kind == JointKind.REVOLUTE:
-            origin = frame.to_world(found.joints.pivot[i])
+        if shape.joints and kind == JointKind.REVOLUTE:
+            origin = frame.to_world(shape.joints.pivot[i])
         links[link] = []
         if len(triangles):
             file = f"{prefix}{link}.obj"
             write_atomically(folder / file, obj_text([_welded(triangles - origin)]).encode())
             red, green, blue = (int(colour_of(i)[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
             links[link] = [Visual(file, rgba=(red, green, blue, 1.0))]
-        if found.joints and kind != JointKind.FIXED:
-            joints.append(_moving(found.joints, i, origin, frame.scale))
+        if shape.joints and kind != JointKind.FIXED:
+            joints.append(_moving(shape.joints, i, origin, frame.scale))
         elif i:
             joints.append(Joint(f"joint_{i}", "fixed", "part_0", link, origin))
     path = folder / f"{name}.urdf"

@@ -24,8 +24,8 @@ from articugen.core.processes import Crew, report
 from articugen.learning.loop import (
     SEEDS,
     SHARDS,
+    Notify,
     Progress,
-    Tell,
     Training,
     shared_folder,
     train,
@@ -64,13 +64,13 @@ class Heat:
             except TrainingDiverged:
                 return None
         there = [r for r in RunFolder(self.path).metrics() if r["iteration"] == self.stop]
-        found = [r["validation"] for r in there if r.get("validation")]
-        if not found:
+        validations = [r["validation"] for r in there if r.get("validation")]
+        if not validations:
             raise InvalidCheckpoint(
                 f"{self.path / METRICS}: lacks the validation at iteration {self.stop}; delete "
                 f"{self.path} and resume the race"
             )
-        return found[0]
+        return validations[0]
 
 
 def race(
@@ -78,7 +78,7 @@ def race(
     *,
     stop_after: int | None = None,
     jobs: int = 1,
-    on_progress: Tell = lambda _: None,
+    on_progress: Notify = lambda _: None,
 ) -> RunFolder:
     """Train `recipe.seeds.count` seeds from the training's on, halving them, and keep the best.
 
@@ -136,30 +136,30 @@ def race(
 
 
 def best_half(score: dict[int, dict[str, float] | None], *, last: bool) -> list[int]:
-    """The seeds that go on, best first: half of them, rounded up, or the best one at the `last`.
+    """Return seeds that go on, best first: half of them, rounded up, or the best one at the `last`.
 
     The first number of a score is the loss. Those that diverged (None) never go on; of equals the
     lower seed is taken.
     """
 
     def loss(seed: int) -> float:
-        found = next(iter((score[seed] or {}).values()), math.inf)
-        return math.inf if math.isnan(found) else found
+        first = next(iter((score[seed] or {}).values()), math.inf)
+        return math.inf if math.isnan(first) else first
 
     kept = 1 if last else (len(score) + 1) // 2
     return [s for s in sorted(score, key=lambda s: (loss(s), s)) if score[s] is not None][:kept]
 
 
 def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
-    scores = [score for each in rounds for score in each["validation"].values() if score]
+    scores = [score for one in rounds for score in one["validation"].values() if score]
     by = f"validation {next(iter(scores[0]))}" if scores else "validation"
     record = {"chosen_by": by, "rounds": rounds, **more}
     write_atomically(run.path / RACE, (json.dumps(record, indent=1) + "\n").encode())
 
 
 @contextmanager
-def _crew(jobs: int, tell: Tell) -> Iterator[Crew[Heat, dict[str, float] | None]]:
-    """Who runs the heats: this process one after the other, or `jobs` workers."""
+def _crew(jobs: int, notify: Notify) -> Iterator[Crew[Heat, dict[str, float] | None]]:
+    """Yield the crew that runs the heats: this process one after the other, or `jobs` workers."""
     threads = torch.get_num_threads()
     _use_one_thread()
     try:
@@ -167,7 +167,7 @@ def _crew(jobs: int, tell: Tell) -> Iterator[Crew[Heat, dict[str, float] | None]
             Heat.run,
             workers=0 if jobs == 1 else jobs,
             ready=_use_one_thread,
-            on_report=tell,
+            on_report=notify,
             name=lambda heat: f"seed {heat.what.seed}",
         ) as crew:
             yield crew

@@ -101,7 +101,7 @@ class Schedule(Section):
 
 
 class Seeds(Section):
-    """How many seeds race, since one alone may find no parts at all.
+    """Number of seeds that race, since one alone may find no parts at all.
 
     Attributes:
         count: how many start; 1 is no race.
@@ -116,7 +116,7 @@ class Seeds(Section):
 
 
 class Budget(Section):
-    """What a schedule was scaled to, see `learning.budget`.
+    """Time that a schedule was scaled to, see `learning.budget`.
 
     Attributes:
         seconds: of CPU time, or of the clock on a GPU, that training may take.
@@ -149,7 +149,7 @@ class TrainRecipe(Section):
 
     @property
     def variant(self) -> str:
-        """In which row of a table of ablations it belongs."""
+        """Row of a table of ablations that it belongs in."""
         return self.method
 
     @model_validator(mode="after")

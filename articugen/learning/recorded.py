@@ -68,16 +68,16 @@ def watch(
     posed = into_unit_frame(read_recording(Path(folder), images))
     rng = generator(0, "recorded")
     clouds = [np.resize(rng.permutation(p.points), (_POINTS, 3)) for p in posed]
-    found = [learner.reconstruct(cloud, resolution=resolution) for cloud in clouds]
-    outcome = measured(posed, found)
+    shapes = [learner.reconstruct(cloud, resolution=resolution) for cloud in clouds]
+    outcome = measured(posed, shapes)
     numbers = {"images": len(posed), **outcome.numbers}
     make_folder(Path(out))
     write_atomically(Path(out) / "numbers.json", (json.dumps(numbers, indent=1) + "\n").encode())
-    save(_drawn(posed, found, outcome), Path(out) / "figure.png")
+    save(_drawn(posed, shapes, outcome), Path(out) / "figure.png")
     return Watched(numbers, Path(out) / "figure.png")
 
 
-def _drawn(posed: Sequence[Posed], found: Sequence[Reconstruction], outcome: Measured) -> Picture:
+def _drawn(posed: Sequence[Posed], results: Sequence[Reconstruction], outcome: Measured) -> Picture:
     """Draw a column for each image, the object as it stands in the unit frame."""
     camera = tile_camera(np.concatenate([p.points for p in posed]), _AZIMUTH)
     floor = min(float(p.points[:, 2].min()) for p in posed)
@@ -87,7 +87,7 @@ def _drawn(posed: Sequence[Posed], found: Sequence[Reconstruction], outcome: Mea
     rows = []
     for title, shapes, names in (
         ("what the camera sees, by true part", clouds, Names([0, 1], [0, 1])),
-        ("reconstruction", found, Names(outcome.labels.tolist(), outcome.dominant.tolist())),
+        ("reconstruction", results, Names(outcome.labels.tolist(), outcome.dominant.tolist())),
     ):
         pictures = [solid_portrait(solid_of(shape, names), camera, floor) for shape in shapes]
         rows.append(Row(title, pictures, captions))

@@ -58,19 +58,19 @@ CPU, META = torch.device("cpu"), torch.device("meta")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class _Told(BaseModel):
+class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-class _Data(_Told):
-    """What it is trained on; `also`: further data sets."""
+class _Data(_Record):
+    """Data set that it is trained on; `also`: further data sets."""
 
     folder: str
     content_sha256: Sha256
     also: list["_Data"] = []
 
 
-class _About(_Told):
+class _About(_Record):
     """run.json."""
 
     category: str
@@ -83,7 +83,7 @@ class _About(_Told):
     machine: dict[str, str | int]
 
 
-class _Line(_Told):
+class _Line(_Record):
     """A line of the metrics. What was measured may be no finite number; nothing else may."""
 
     iteration: int = Field(ge=0)
@@ -94,12 +94,12 @@ class _Line(_Told):
     seconds: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
-Told = TypeVar("Told", bound=BaseModel)
+Record = TypeVar("Record", bound=BaseModel)
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that training goes on from.
+    """State from which training goes on.
 
     Attributes:
         recipe, category, seed: what is trained.
@@ -120,13 +120,13 @@ class Checkpoint:
         write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
 
     def learner(self, device: torch.device = CPU) -> Learner:
-        """What was trained, ready for predictions or to go on."""
+        """Return the learner, ready for predictions or to go on."""
         learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=device)
         learner.load(self.state)
         return learner
 
     def about(self) -> dict[str, Any]:
-        """What was trained, as an evaluation tells it."""
+        """Return what was trained, as an evaluation states it."""
         budget = self.recipe.budget
         return {
             "category": self.category,
@@ -186,7 +186,8 @@ class RunFolder:
         data: dict[str, Any],
         name: str | None = None,
     ) -> "RunFolder":
-        """A folder under `runs`, the next number or `name`; `data` says what it is trained on."""
+        """Make a folder under `runs`, the next number or `name`; `data` says what it is trained
+        on."""
         path = runs / name if name else _next_number(runs)
         try:
             make_folder(runs)
@@ -269,7 +270,7 @@ class RunFolder:
         return recipe
 
     def about(self) -> dict[str, Any]:
-        """What run.json says of the run.
+        """Return the contents of run.json.
 
         Raises:
             InvalidCheckpoint: there is none.
@@ -289,8 +290,9 @@ class RunFolder:
 
     @contextmanager
     def metrics_from(self, iteration: int) -> Iterator[Callable[[dict[str, Any]], None]]:
-        """What appends a line to the metrics, and its numbers to what TensorBoard reads, where that
-        is installed. What there is of later iterations is dropped first: they are done again.
+        """Yield what appends a line to the metrics, and its numbers to what TensorBoard reads,
+        where that is installed. What there is of later iterations is dropped first: they are done
+        again.
 
         Raises:
             ArticugenError: another process trains here.
@@ -346,8 +348,8 @@ def _machine_s_faults(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """What appends the numbers of a record for TensorBoard, by the names they have there; what was
-    written of iterations later than `after` is dropped."""
+    """Yield what appends the numbers of a record for TensorBoard, by the names they have there;
+    what was written of iterations later than `after` is dropped."""
     if not find_spec("tensorboard"):
         yield lambda _: None
         return
@@ -389,7 +391,7 @@ def _read(path: Path) -> bytes:
         ) from None
 
 
-def _parsed(model: type[Told], text: bytes, where: str) -> Told:
+def _parsed(model: type[Record], text: bytes, where: str) -> Record:
     try:
         return model.model_validate_json(text)
     except ValidationError as error:

@@ -130,22 +130,22 @@ def _unsealed(path: Path) -> bytes:
     return image
 
 
-def check_like(found: Any, wanted: Any, path: Path, name: str = "") -> None:
+def check_like(actual: Any, wanted: Any, path: Path, name: str = "") -> None:
     """Raise InvalidCheckpoint where keys, shapes or types are not those of `wanted`."""
     if isinstance(wanted, dict):
-        fits = isinstance(found, dict) and found.keys() == wanted.keys()
+        fits = isinstance(actual, dict) and actual.keys() == wanted.keys()
     elif isinstance(wanted, Tensor):
-        fits = isinstance(found, Tensor)
-        fits = fits and (found.shape, found.dtype) == (wanted.shape, wanted.dtype)
+        fits = isinstance(actual, Tensor)
+        fits = fits and (actual.shape, actual.dtype) == (wanted.shape, wanted.dtype)
     else:
-        fits = type(found) is type(wanted)
+        fits = type(actual) is type(wanted)
     if not fits:
         raise InvalidCheckpoint(
             f"{path}: its {name or 'state'} is that of another recipe or method; train again"
         )
     if isinstance(wanted, dict):
         for key, value in wanted.items():
-            check_like(found[key], value, path, f"{name}.{key}" if name else key)
+            check_like(actual[key], value, path, f"{name}.{key}" if name else key)
 
 
 @contextmanager

@@ -36,7 +36,8 @@ class Bvh(NamedTuple):
 
 @kernel
 def triangle_table(corners):
-    """(F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3, 3)."""
+    """Return (F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3,
+    3)."""
     table = np.zeros((corners.shape[0], 16), np.float32)
     for f in range(corners.shape[0]):
         ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
@@ -57,7 +58,8 @@ def triangle_table(corners):
 
 
 def build(corners: Floats, part_of_face: Bytes, parts: int) -> Bvh:
-    """The trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical pose."""
+    """Return the trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical
+    pose."""
     return joined([tree_of(corners[part_of_face == part]) for part in range(parts)])
 
 
@@ -169,7 +171,7 @@ def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
     Args:
         p, w: tuples of three float32.
         reach: float32; inf for a ray without end.
-        to_part: (P, 3, 4) float32: from the pose at hand to each part's canonical pose.
+        to_part: (P, 3, 4) float32: from the current pose to each part's canonical pose.
         box, skip, leaf, triangles, roots: the `Bvh`.
     """
     for part in range(roots.shape[0] - 1):
@@ -236,7 +238,8 @@ def in_front(p, w, plane):
 
 @helper
 def behind(p, w, plane):
-    """Whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <= 0."""
+    """Return whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <=
+    0."""
     a, b, c, offset = plane
     gap = a * p[0] + b * p[1] + c * p[2] - offset
     slope = a * w[0] + b * w[1] + c * w[2]
@@ -245,7 +248,8 @@ def behind(p, w, plane):
 
 @helper
 def line_meets(p, w, a, b, c):
-    """Whether the line through `p` along `w` passes through the triangle a, b, c, either way round.
+    """Return whether the line through `p` along `w` passes through the triangle a, b, c, either way
+    round.
 
     Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
     same number with opposite sign, so no line slips between them.

@@ -21,7 +21,7 @@ LEAF = 6  # so many triangles at most share a box that is not divided further
 
 
 def distance(points: Floats, triangles: Floats) -> Floats:
-    """(n,) the distance from each point to the nearest of the triangles (F, 3, 3); inf if none.
+    """Return (n,) distance from each point to the nearest of the triangles (F, 3, 3); inf if none.
 
     Points count as triangles whose corners coincide.
     """
@@ -53,7 +53,8 @@ def _tree(triangles: Floats) -> tuple[Floats, Floats]:
 
 
 def _along_a_curve(points: Floats) -> Ints:
-    """(n,) the place of each point (n, 3) on Morton's curve: the bits of its cells, interleaved."""
+    """Return (n,) the place of each point (n, 3) on Morton's curve: the bits of its cells,
+    interleaved."""
     low, size = points.min(0), max(float(np.ptp(points, axis=0).max()), 1e-30)
     cell = ((points - low) / size * 1023.0).astype(np.int64)
     for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):

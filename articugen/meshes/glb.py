@@ -27,7 +27,7 @@ _POINTS = 0
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """How a part moves; its state is 0 where its geometry is given.
+    """Motion of a part; its state is 0 where its geometry is given.
 
     Attributes:
         name: of the animation.
@@ -93,7 +93,7 @@ class _Buffer:
 
 
 def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = None) -> bytes:
-    """Return the file of a scene: its name, its parts, z up, and what else is said of it.
+    """Return the file of a scene: its name, its parts, z up, and other facts about it.
 
     A part without any vertex is a node alone.
     """

@@ -25,7 +25,7 @@ _EDGES: list[_Edge] = [(c, c + step) for step in _STEPS for c in range(8) if not
 
 
 def zero_level(field: NDArray[np.floating]) -> Mesh:
-    """The surface field = 0 of a grid (R, R, R), unit frame, faces outwards; inside is above 0.
+    """Return surface field = 0 of a grid (R, R, R), unit frame, faces outwards; inside is above 0.
 
     Samples are at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z]; between two of them the
     field counts as linear. Nothing is inside beyond the grid: there the surface closes up to half a
@@ -53,7 +53,8 @@ def zero_level(field: NDArray[np.floating]) -> Mesh:
 
 
 def _crossed_edges(inside: Bools, strides: Ints) -> Ints:
-    """(F, 3): the edge that each corner of each triangle lies on, 3 * its lower sample + axis."""
+    """Return (F, 3): the edge that each corner of each triangle lies on, 3 * its lower sample +
+    axis."""
     corners = np.array(list(itertools.product((0, 1), repeat=3)))
     X, Y, Z = (n - 1 for n in inside.shape)
     case = np.zeros((X, Y, Z), np.uint8)

@@ -3,7 +3,7 @@
 A model may come from a stranger, so a name that leads out of the model's folder is refused, through
 symbolic links too. The one exception is ROS's `package://name/...`: it may lead into the folder
 above the URDF that has a package.xml of that name, no higher than the folder that somebody named.
-Only regular files are read, and none whose size has not been looked at.
+Only regular files are read, and none whose size has not been checked.
 """
 
 import errno
@@ -52,7 +52,7 @@ class ModelFiles:
         self._bytes = 0
 
     def find(self, name: str, by: str = "") -> Path | None:
-        """The real path of what a model calls `name`, or None where there is no such file.
+        """Return the real path of what a model calls `name`, or None where there is no such file.
 
         An absolute path from somebody else's machine stands for the file of that name in `folder`.
 
@@ -97,7 +97,7 @@ class ModelFiles:
         )
 
     def read(self, path: Path, most_bytes: int | None = None) -> bytes:
-        """The bytes of a file of the model; they count in `sha256`.
+        """Read a file of the model; they count in `sha256`.
 
         Args:
             path: what `find` gave, or a file that the model has by its layout.
@@ -109,7 +109,7 @@ class ModelFiles:
             MachineFault, MemoryError: the disk does not answer, or the like.
         """
         real = _real(path)
-        if not any(real.is_relative_to(own) for own in (self.root, *self._packages.values())):
+        if not any(real.is_relative_to(folder) for folder in (self.root, *self._packages.values())):
             raise InvalidSource(
                 f"{path}: is a symbolic link out of the model's folder {self.root}; put the file "
                 "itself there, or link the whole folder"
@@ -126,7 +126,7 @@ class ModelFiles:
         return data
 
     def sha256(self) -> str:
-        """The hex digest over names (relative to the root) and bytes of every file read so far.
+        """Return hex digest over names (relative to the root) and bytes of every file read so far.
 
         Neither the order of reading nor the place of the model on the disk matters.
         """
@@ -194,7 +194,8 @@ def read_source(path: Path, most_bytes: int) -> bytes:
 
 
 def unreadable(path: Path, error: OSError) -> Exception:
-    """What to raise where the file `path` of a model cannot be read: whose fault it is."""
+    """Return the error to raise where the file `path` of a model cannot be read, by whose fault it
+    is."""
     cure = _CURES.get(error.errno or 0, "correct it, or put a regular file there")
     return machine_fault(error) or InvalidSource(
         f"{path}: cannot be read: {error.strerror or error}; {cure}"
@@ -221,7 +222,7 @@ def claimed_rows(data: bytes) -> dict[str, int]:
 
 
 def quoted(text: str) -> str:
-    """A stranger's text in quotes, on one line and not too long."""
+    """Return a stranger's text in quotes, on one line and not too long."""
     return repr(text if len(text) <= 100 else f"{text[:97]}...")
 
 
@@ -249,7 +250,7 @@ def _existing(path: Path) -> Path | None:
 
 
 def _package_name(path: Path) -> str | None:
-    """What a package.xml calls its package; None where there is none that can be read."""
+    """Return name of a package by its package.xml; None where there is none that can be read."""
     try:
         return parse_xml(read_source(path, MAX_TEXT_BYTES), path).findtext("name", "").strip()
     except InvalidSource:

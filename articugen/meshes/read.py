@@ -61,7 +61,8 @@ class EmptyMesh(InvalidSource):
 
 
 def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
-    """The triangles of a mesh file (.obj, .stl, .ply, .dae, .glb, .gltf), in file units and frame.
+    """Read the triangles of a mesh file (.obj, .stl, .ply, .dae, .glb, .gltf), in file units and
+    frame.
 
     Polygons become fans; nodes of a scene are baked in; materials, lines and points are ignored.
     Faces that name a vertex twice are dropped, nothing else: no merging, no reordering.
@@ -285,9 +286,9 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
         corners = np.frombuffer(data, _STL_TRIANGLE, offset=84)["corners"]
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         scenes.check_size(path, faces=data.count(b"endfacet"), vertices=data.count(b"vertex"))
-        found = _STL_VERTEX.findall(data)
+        texts = _STL_VERTEX.findall(data)
         try:
-            corners = np.array([[float(x) for x in vertex] for vertex in found], np.float64)
+            corners = np.array([[float(x) for x in vertex] for vertex in texts], np.float64)
         except ValueError:
             raise InvalidSource(f"{path}: a vertex is not three numbers; export it again") from None
         if len(corners) != 3 * len(re.findall(rb"\bendfacet\b", data)):

@@ -177,13 +177,13 @@ def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
         mesh = scene.geometry[name]
         if not isinstance(mesh, kind):
             continue
-        own = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
-        if own.size and (own.min() < 0 or own.max() >= len(mesh.vertices)):
+        indices = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
+        if indices.size and (indices.min() < 0 or indices.max() >= len(mesh.vertices)):
             raise _broken(path, f"a face of {name!r} names a vertex that is not there")
-        faces.append((own[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else own) + offset)
+        faces.append((indices[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else indices) + offset)
         vertices.append(apply(T, mesh.vertices))
         offset += len(mesh.vertices)
-        total += len(own)
+        total += len(indices)
         check_size(path, faces=total, vertices=offset)
     return np.concatenate(vertices), np.concatenate(faces)
 
@@ -248,7 +248,7 @@ def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
 
 def _check_nodes(nodes: list[dict[str, Any]], faces: list[int], path: Path) -> None:
     """Nodes form trees, as the format demands: no node has two parents or is its own ancestor; and
-    the meshes on them (of so many `faces`) are not too much together."""
+    the meshes on them (with this number of `faces`) are not too much together."""
     children = [child for node in nodes for child in node.get("children", [])]
     if len(set(children)) < len(children) or not set(children) <= set(range(len(nodes))):
         raise _broken(path, "its nodes do not form a tree")

@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 Place = tuple[Path, int]  # a shard and an instance's index in it
 POOLED = 16
-"""The points of so many instances of an object, or of all that there are, make its pictures."""
+"""Instances of an object, or all that there are, whose points make its pictures."""
 
 ASKED = 4  # objects of a category, of those that are drawn, that say from which side it is seen
 
@@ -105,7 +105,7 @@ def portraits(
     their joints have moved. A category is seen from the side that shows most of its parts.
 
     Args:
-        pooling: the points of so many of an object's instances make its pictures.
+        pooling: number of an object's instances whose points make its pictures.
         size: of a picture, pixels.
 
     Raises:
@@ -114,8 +114,8 @@ def portraits(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         drawn = list(pool.map(lambda c: _object(c, states, pooling), chosen))
         widest: dict[str, list[Instance]] = {}
-        for each in drawn:
-            widest.setdefault(each.chosen.category, []).append(each.instances[-1])
+        for picture in drawn:
+            widest.setdefault(picture.chosen.category, []).append(picture.instances[-1])
         azimuth = {name: best_azimuth(evenly(many, ASKED)) for name, many in widest.items()}
         cameras = [tile_camera(o.points, azimuth[o.chosen.category], size) for o in drawn]
         tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
@@ -132,7 +132,7 @@ def portraits(
 
 
 def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
-    """Choose so many of the objects in the shards, evenly; ArticugenError without a surface."""
+    """Choose `count` of the objects in the shards, evenly; ArticugenError without a surface."""
     where: dict[tuple[str, str, str], list[Place]] = {}
     for path in shards:
         with open_shard(path) as shard:
@@ -149,7 +149,7 @@ def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
 
 
 def some_of(every: Sequence[Chosen], count: int) -> list[Chosen]:
-    """So many of them, chosen evenly, those for training first."""
+    """Return `count` of them, chosen evenly, those for training first."""
     order = sorted(every, key=lambda c: (c.split != "train", c.category, c.split, c.object_id))
     return evenly(order, count)
 
@@ -167,13 +167,14 @@ def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
 
 
 def evenly(items: Sequence[T], count: int) -> list[T]:
-    """Return so many of the items, from the first to the last."""
+    """Return `count` of the items, from the first to the last."""
     picked = np.linspace(0, len(items) - 1, min(count, len(items)))
     return [items[round(i)] for i in picked]
 
 
 def _moved(shard: Shard) -> Floats:
-    """(n,) how far the joints of each row have moved, the canonical pose before all others."""
+    """Return (n,) how far the joints of each row have moved, the canonical pose before all
+    others."""
     q, upper = shard.read("joint_state"), shard.read("joint_upper")
     far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=1)
     return np.where(shard.read("state_index") == 0, -np.inf, far)

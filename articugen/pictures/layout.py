@@ -45,7 +45,7 @@ def sheet(rows: Sequence[Row]) -> Picture:
 
 
 def in_columns(sheets: Sequence[Picture], columns: int) -> Picture:
-    """Sheets in rows of so many, each as far from the next as its margin says."""
+    """Return sheets in rows of `columns`, each as far from the next as its margin says."""
     width = max(sheet.width for sheet in sheets)
     rows = [sheets[at : at + columns] for at in range(0, len(sheets), columns)]
     heights = [max(sheet.height for sheet in row) for row in rows]

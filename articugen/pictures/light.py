@@ -34,7 +34,7 @@ class SurfaceCloud:
         return SurfaceCloud(self.points[which], self.normals[which], self.area[which])
 
     def thinned(self, step: int) -> "SurfaceCloud":
-        """Return every so manyeth point, with so many times the area."""
+        """Return every `step`-th point, with `step` times the area."""
         few = self[::step]
         return SurfaceCloud(few.points, few.normals, step * few.area)
 
@@ -150,7 +150,8 @@ def _near(at, facing, columns, cells, detail):
 
 @kernel
 def _carried(at, facing, points, normals, values, cells, reach):
-    """The mean of the values at the points around each place that face as it does; nan if none."""
+    """Return the mean of the values at the points around each place that face as it does; nan if
+    none."""
     means = np.empty(len(at))
     nearest = np.empty(len(points), np.int64)
     for i in range(len(at)):

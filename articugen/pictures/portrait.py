@@ -34,7 +34,7 @@ SWEPT = np.linspace(0.0, 1.0, 7)  # shares of their ranges at which joints are l
 
 
 def oriented_points(instance: Instance) -> OrientedPoints:
-    """The stored surface points of an instance."""
+    """Return the stored surface points of an instance."""
     normals = instance.surface_normals.astype(np.float64)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return OrientedPoints(dequantize(instance.surface_points), normals, instance.surface_part)
@@ -46,29 +46,30 @@ def pooled(instances: Sequence[Instance]) -> Surfels:
 
 
 def tile_camera(points: Floats, azimuth: float, size: int = TILE) -> Camera:
-    """The camera whose tile of `size` pixels the points (n, 3) fill."""
+    """Return the camera whose tile of `size` pixels the points (n, 3) fill."""
     return framed(points, azimuth, ELEVATION, SUPERSAMPLING * size, fill=0.86)
 
 
 def best_azimuth(instances: Sequence[Instance]) -> float:
-    """The side from which most of the parts of these instances can be seen."""
+    """Return the side from which most of the parts of these instances can be seen."""
     posed = [surfels([oriented_points(instance)]) for instance in instances]
     return max(AZIMUTHS, key=lambda azimuth: sum(_seen(discs, azimuth) for discs in posed))
 
 
 def _seen(discs: Surfels, azimuth: float) -> float:
-    """How much of the parts can be seen from this side: their fractions, added up."""
+    """Return how much of the parts can be seen from this side: the sum of their fractions."""
     camera = framed(discs.points, azimuth, ELEVATION, 128, fill=0.9)
     depth, _, _ = draw(discs, np.zeros((len(discs.points), 0)), camera)
     x, y, z = apply(camera.T_camera_world, discs.points).T
     column = (camera.focal * x / z + camera.cx).astype(int)
     row = (camera.focal * y / z + camera.cy).astype(int)
-    seen = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
-    return float((seen / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
+    visible = np.bincount(discs.part[z < depth[row, column] + discs.spacing], minlength=256)
+    return float((visible / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
 
 
 def swept(canonical: Instance) -> Floats:
-    """(n, 3) where its surface points come when its joints go through their ranges together."""
+    """Return (n, 3) where its surface points come when its joints go through their ranges
+    together."""
     points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
     everywhere = []
     for share in SWEPT:
@@ -95,26 +96,28 @@ def portrait(
     *,
     beside: ColouredMesh = NOTHING,
 ) -> Picture:
-    """An instance, drawn with the `pooled` discs of its object in the colours of its parts.
+    """Draw an instance with the `pooled` discs of its object in the colours of its parts.
 
     Args:
         floor: the height of what it stands on.
         beside: drawn as well, without a shadow.
     """
-    posed, own = discs.moved(instance.part_motion), oriented_points(instance)
-    coarse = SurfaceCloud(own.points, own.normals, np.full(len(own.points), own.spacing() ** 2))
+    posed, points = discs.moved(instance.part_motion), oriented_points(instance)
+    coarse = SurfaceCloud(
+        points.points, points.normals, np.full(len(points.points), points.spacing() ** 2)
+    )
     palette = _palette([colour_of(k) for k in range(256)])
-    seen = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
-    return shaded(seen, camera, coarse, posed.cloud, floor)
+    picture = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
+    return shaded(picture, camera, coarse, posed.cloud, floor)
 
 
 def solid_portrait(
     solid: ColouredMesh, camera: Camera, floor: float, *, beside: ColouredMesh = NOTHING
 ) -> Picture:
-    """A mesh as `portrait` draws points; an empty picture where there is none."""
-    seen = nearer(_drawn(solid, camera), _drawn(beside, camera))
+    """Draw a mesh as `portrait` draws points; an empty picture where there is none."""
+    picture = nearer(_drawn(solid, camera), _drawn(beside, camera))
     coarse, fine = (spread(solid.triangles, count) for count in (8192, 65536))
-    return shaded(seen, camera, coarse, fine, floor)
+    return shaded(picture, camera, coarse, fine, floor)
 
 
 def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Floats, Floats, Floats]:
@@ -128,6 +131,6 @@ def _palette(colours: Sequence[str]) -> Floats:
 def nearer(
     a: tuple[Floats, Floats, Floats], b: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats, Floats]:
-    """Of two drawings by one camera, at each pixel the one that is nearer."""
+    """Return the nearer of two drawings by one camera, pixel by pixel."""
     first = (a[0] <= b[0])[..., None]
     return (np.minimum(a[0], b[0]), np.where(first, a[1], b[1]), np.where(first, a[2], b[2]))

@@ -17,7 +17,7 @@ CREASE = np.cos(np.radians(35.0))
 """Where a face is turned further than this from the mean around a corner, the corner is sharp."""
 
 _PLACES = 1 << 18
-"""Corners that agree along each axis in so many places of the box are the same one."""
+"""Corners that agree along each axis in this many places of the box are the same one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,8 @@ def _along(basis, way):
 
 @helper
 def _is_beyond(a, b, reach, i):
-    """Whether a place `a` along a disc's `across` and `b` along the other axis is out of reach."""
+    """Return whether a place `a` along a disc's `across` and `b` along the other axis is out of
+    reach."""
     for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
         if TURNS[k, 0] * a + TURNS[k, 1] * b > reach[i, k]:
             return True
@@ -135,7 +136,7 @@ def _is_cut(points, normals, planes, first, end, at, gap):
 def _close(depth, values, step):
     """Fill each pixel that lies behind most of those around it, by more than `step`, from them.
 
-    Of a random covering a few gaps stay open, through which one sees what lies behind or nothing;
+    Of a random covering a few gaps stay open, through which one sees things behind or nothing;
     beside an object's outline, nearer pixels are in the minority.
     """
     was, before = depth.copy(), values.copy()

@@ -119,12 +119,12 @@ def surfels(samples: Sequence[OrientedPoints]) -> Surfels:
 
 
 @kernel
-def _distance_of_rank(points, normals, part, asked, rank):
+def _distance_of_rank(points, normals, part, wanted, rank):
     """From each point asked for, to its neighbour of this rank on the same side of its part."""
-    distances = np.empty(len(asked))
+    distances = np.empty(len(wanted))
     nearest = np.empty(rank + 1)
-    for s in range(len(asked)):
-        i = asked[s]
+    for s in range(len(wanted)):
+        i = wanted[s]
         at, normal = vector(points, i), vector(normals, i)
         nearest[:] = 3.0
         for j in range(len(points)):
@@ -154,17 +154,17 @@ def _covers(points, normals, part, source, sources, cells, reach):
     """Return how many of the samples cover the surface at each point, (n,).
 
     If m of them do, two points from there are of one sample with probability 1 / m, so pairs that
-    are tell m, however small the face is (as equal birthdays tell the length of the year).
+    are give m, however small the face is (as equal birthdays give the length of the year).
     """
     covers = np.empty(len(points))
-    found = np.empty(len(points), np.int64)
+    counts = np.empty(len(points), np.int64)
     count = np.empty(sources)
     for i in range(len(points)):
         for s in range(sources):
             count[s] = 0.0
         normal = vector(normals, i)
-        for n in range(near(cells, points, vector(points, i), reach, found)):
-            j = found[n]
+        for n in range(near(cells, points, vector(points, i), reach, counts)):
+            j = counts[n]
             if part[j] == part[i] and dot(normal, vector(normals, j)) > SAME_FACE:
                 count[source[j]] += 1.0
         total = alike = 0.0
@@ -177,12 +177,13 @@ def _covers(points, normals, part, source, sources, cells, reach):
 
 @kernel
 def _outline(points, normals, across, part, spacing, cells, rank):
-    """The radius of each disc, the neighbours across a convex edge in one list, and its reach.
+    """Return radius of each disc, the neighbours across a convex edge in one list, and its reach.
 
     The radius is the distance to the neighbour of the given rank on the same face, or two spacings
-    where so many are not there. Neighbour j bounds disc i where each lies behind the other and the
+    where there are fewer. Neighbour j bounds disc i where each lies behind the other and the
     face of i does not go on beyond j; one neighbour a plane is enough. In no direction does a disc
-    go on far beyond the last point of its face: where a face ends at a plate too thin to be told
+    go on far beyond the last point of its face: where a face ends at a plate too thin to be
+        distinguished
     from it, or beside one that nobody sees, nothing else would keep the disc from sticking out.
     """
     radius = np.empty(len(points))
@@ -254,7 +255,7 @@ def _longer(numbers):
 
 @helper
 def _direction(across, up, k):
-    """The k-th of DIRECTIONS even directions in a disc's plane, from `across` towards `up`."""
+    """Return k-th of DIRECTIONS even directions in a disc's plane, from `across` towards `up`."""
     c, s = TURNS[k, 0], TURNS[k, 1]
     return c * across[0] + s * up[0], c * across[1] + s * up[1], c * across[2] + s * up[2]
 

@@ -32,7 +32,7 @@ more are asked for; of the PPD paper's five, as many as it had (its table of sam
 
 
 def build_model(category: str, object_id: str, *, varied: bool = False) -> Model:
-    """The model of one object.
+    """Build the model of one object.
 
     Args:
         varied: as various as objects of others are: what the category's module builds by
@@ -52,7 +52,7 @@ def build_model(category: str, object_id: str, *, varied: bool = False) -> Model
 
 
 def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], Model] | None:
-    """What makes the models of a category; None of one that has no varied ones."""
+    """Return function that makes the models of a category; None of one that has no varied ones."""
     module = importlib.import_module(f"{__name__}.{category}")
     return getattr(module, "build_varied" if varied else "build", None)
 

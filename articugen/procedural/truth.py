@@ -1,6 +1,6 @@
 """The exact occupancy of a procedural object at any joint state, read from its `solids.json`.
 
-Every solid is a union of convex cells; a cell is what lies behind all of its planes. Nothing is
+Every solid is a union of convex cells; a cell is the space behind all of its planes. Nothing is
 sampled and nothing approximated: these are the very polyhedra that the OBJ files show. A sheet
 counts as the slab that it stands for.
 """
@@ -43,7 +43,7 @@ class Truth:
     boxes: Floats
 
     def of(self, links: NDArray[np.bool_]) -> "Truth":
-        """The cells of some of the links alone; `links` has a value for each."""
+        """Return the cells of some of the links alone; `links` has a value for each."""
         cells = np.flatnonzero(links[self.link_of_cell])
         first = self.first_plane
         planes = [self.planes[first[c] : first[c + 1]] for c in cells]
@@ -56,7 +56,7 @@ class Truth:
         )
 
     def inside(self, points: Floats, T_world_link: Mapping[str, Floats]) -> NDArray[np.int64]:
-        """What each world point (N, 3) lies in: 0 for free space, k + 1 for `links[k]`.
+        """Return where each world point (N, 3) lies: 0 for free space, k + 1 for `links[k]`.
 
         Where links cross, as those of no bundled object do, the first one counts.
 
@@ -67,14 +67,14 @@ class Truth:
         return np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, 0)
 
     def holds(self, points: Floats, T_world_link: Mapping[str, Floats]) -> NDArray[np.bool_]:
-        """(N, links) whether each world point lies in each link."""
+        """Return (N, links) whether each world point lies in each link."""
         cells = self._posed(T_world_link)
         return _holds(_contiguous(points), cells, self.link_of_cell, len(self.links))
 
     def blocked(
         self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
     ) -> NDArray[np.bool_]:
-        """(N, K) whether the ray from point i along direction j meets any cell.
+        """Return (N, K) whether the ray from point i along direction j meets any cell.
 
         A point inside a cell is blocked in all directions.
         """
@@ -84,7 +84,7 @@ class Truth:
     def enclosed(
         self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
     ) -> NDArray[np.bool_]:
-        """(N,) whether the rays of each point are blocked along all `directions` (K, 3).
+        """Return (N,) whether the rays of each point are blocked along all `directions` (K, 3).
 
         With the opposite of the viewing directions: the points that no view sees free.
         """
@@ -92,7 +92,7 @@ class Truth:
         return _blocked(_contiguous(points), _contiguous(directions), cells, True)[:, -1]
 
     def _posed(self, T_world_link: Mapping[str, Floats]) -> _Cells:
-        """The cells in the world frame."""
+        """Return the cells in the world frame."""
         T = np.array([T_world_link[name] for name in self.links])[self.link_of_cell]
         center = T[:, :3, 3] + turned(T[:, :3, :3], self.boxes.mean(axis=1))
         half = turned(np.abs(T[:, :3, :3]), np.ptp(self.boxes, axis=1) / 2)
@@ -141,7 +141,7 @@ def read_truth(data: bytes, *, sheet_thickness: float | None = None) -> Truth:
 
 
 def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Floats, Floats]]:
-    """(planes, box) of every cell of a link, its sheets included."""
+    """Return (planes, box) of every cell of a link, its sheets included."""
     cells = [(np.array(cell["half_spaces"]), np.array(cell["box"])) for cell in link["cells"]]
     for sheet in link["sheets"]:
         thickness = sheet["thickness"]
@@ -152,7 +152,7 @@ def _cells(link: dict[str, Any], sheet_thickness: float | None) -> list[tuple[Fl
 
 
 def _slab(triangle: Floats, thickness: float) -> tuple[Floats, Floats]:
-    """The prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
+    """Return the prism of a triangle (3, 3) that reaches half of `thickness` to either side."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     normal = cross(edges[0], edges[1])
     normal /= norm(normal)
@@ -172,7 +172,7 @@ def _contiguous(points: Floats) -> Floats:
 
 @njit(cache=True)
 def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
-    """Which links hold each point."""
+    """Return which links hold each point."""
     planes, first_plane, boxes = cells
     holds = np.zeros((len(points), link_count), np.bool_)
     for i in range(len(points)):
@@ -197,7 +197,8 @@ def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
 
 @njit(cache=True)
 def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover
-    """Which rays meet a cell; after a point's first free ray, if asked, its others stay False."""
+    """Return which rays meet a cell; after a point's first free ray, if asked, its others stay
+    False."""
     planes, first_plane, boxes = cells
     hit = np.zeros((len(points), len(directions)), np.bool_)
     for i in range(len(points)):
@@ -218,7 +219,7 @@ def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover
 
 @njit(cache=True)
 def _meets_box(point, direction, box):  # pragma: no cover
-    """Whether the ray meets the box: clipped by three slabs (Kay and Kajiya 1986)."""
+    """Return whether the ray meets the box: clipped by three slabs (Kay and Kajiya 1986)."""
     start, end = 0.0, np.inf
     for k in range(3):
         if direction[k] == 0.0:
@@ -235,7 +236,7 @@ def _meets_box(point, direction, box):  # pragma: no cover
 
 @njit(cache=True)
 def _meets_cell(point, direction, planes):  # pragma: no cover
-    """Whether the ray meets a convex cell: clipped by its planes (Cyrus and Beck 1978)."""
+    """Return whether the ray meets a convex cell: clipped by its planes (Cyrus and Beck 1978)."""
     start, end = 0.0, np.inf
     for p in planes:
         room = p[3] - (p[0] * point[0] + p[1] * point[1] + p[2] * point[2])

@@ -9,7 +9,7 @@ from articugen.core.records import DepthMaps, LabelledMesh, Views
 
 
 def render(mesh: LabelledMesh, views: Views, *, backend: str = "rasterizer") -> DepthMaps:
-    """The depth maps of `mesh` from `views`, made by the named backend; see `Backend.render`.
+    """Render depth maps of `mesh` from `views` by the named backend; see `Backend.render`.
 
     Raises:
         ValueError: no such backend; a part of the mesh does not lie in front of a pinhole camera.

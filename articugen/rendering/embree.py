@@ -1,4 +1,4 @@
-"""Depth by ray casting: Embree, by way of open3d's RaycastingScene. It tells the faces too.
+"""Depth by ray casting: Embree, by way of open3d's RaycastingScene. It gives the faces too.
 
 Embree computes in float32. Orthographic rays start close to the mesh, so that 99 % of depths are
 good to 5e-7 in the unit frame; on surfaces seen at a grazing angle they can be 1e-5 off.
@@ -39,7 +39,8 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
 
 
 def _rays(views: Views, k: int, start: float) -> NDArray[np.float32]:
-    """(H, W, 6) origins and directions, in the world, of the rays through view k's pixel centres.
+    """Return (H, W, 6) origins and directions, in the world, of the rays through view k's pixel
+    centres.
 
     A direction's z in the camera is 1, so that the length of a ray, in directions, is depth less
     the origin's. Pinhole rays leave the eye (`start` is 0), orthographic ones the plane z = start.

@@ -38,7 +38,8 @@ def missing_driver(library: str, system_packages: str, error: Exception) -> Miss
 
 
 def depth_ranges(mesh: LabelledMesh, views: Views) -> Floats:
-    """(K, 2) for each view a z just before and one just behind all of the mesh, which has faces.
+    """Return (K, 2) for each view a z just before and one just behind all of the mesh, which has
+    faces.
 
     Raises ValueError where a part of the mesh does not lie in front of a pinhole camera.
     """

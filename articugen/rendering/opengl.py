@@ -96,7 +96,8 @@ def _renderer(pyrender: ModuleType, views: Views) -> Iterator[Any]:
 
 @cache
 def _camera_class() -> Any:
-    """A pyrender camera with a projection of our own; made late since pyrender is optional."""
+    """Return a class of pyrender cameras with a projection of our own; made late since pyrender is
+    optional."""
     Camera: Any = importlib.import_module("pyrender").Camera
 
     class ProjectionCamera(Camera):
@@ -116,7 +117,7 @@ def _renderer_class() -> Any:
 
     class DepthRenderer(Renderer):
         def _configure_main_framebuffer(self) -> None:
-            """The multisampled buffers made again with one sample a pixel, at its centre."""
+            """Make the multisampled buffers again with one sample a pixel, at its centre."""
             if self._main_fb is not None:
                 return
             super()._configure_main_framebuffer()

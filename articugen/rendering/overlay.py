@@ -23,7 +23,8 @@ class Overlay:
         self._face = fixed.face.copy()
 
     def draw(self, mesh: LabelledMesh, *, closed: Bools, first_face: int) -> DepthMaps:
-        """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`.
+        """Draw a mesh and return the faces seen, valid until the next call; face f of `mesh` is
+        `first_face + f`.
 
         Args:
             mesh, closed: as for `rasterizer.render`.

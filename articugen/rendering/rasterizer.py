@@ -155,7 +155,7 @@ def _copy(source, target, rectangle):
 
 @helper
 def _rectangle(u, v, height, width):
-    """The rows and columns, ends excluded, that hold the snapped vertices; there are some."""
+    """Return rows and columns, ends excluded, that hold the snapped vertices; there are some."""
     low_u, high_u = u[0], u[0]
     low_v, high_v = v[0], v[0]
     for i in range(u.shape[0]):
@@ -224,7 +224,8 @@ def _around_a_centre(faces, centres, kept):
 
 @helper
 def _on_image(p, camera, pinhole):
-    """The image coordinates of `p`, not snapped, and its depth key, which is linear in the image.
+    """Return the image coordinates of `p`, not snapped, and its depth key, which is linear in the
+    image.
 
     The key is z for an orthographic camera and -1/z for a pinhole: smaller is nearer in both.
     """
@@ -358,7 +359,8 @@ def _pixels(a, b, c, size):
 
 @helper
 def _slopes(a, b, c):
-    """How the depth key changes with u and v, from the exact vertices; and 0 if it has no say."""
+    """Return how the depth key changes with u and v, from the exact vertices; 0 if it has no
+    effect."""
     u1, v1, k1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     u2, v2, k2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     det = u1 * v2 - u2 * v1

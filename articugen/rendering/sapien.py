@@ -72,7 +72,8 @@ def render(mesh: LabelledMesh, views: Views) -> DepthMaps:
 
 @cache
 def _empty_scene(sapien: ModuleType) -> Any:
-    """The one scene of this process, since the first picture in a scene takes seconds (shaders)."""
+    """Return the one scene of this process, since the first picture in a scene takes seconds
+    (shaders)."""
     try:
         return sapien.Scene([sapien.render.RenderSystem()])
     except RuntimeError as error:

@@ -20,7 +20,8 @@ FIELD_OF_VIEW = np.radians(40.0)  # of the cameras of images, from edge to edge
 
 
 def spread_order(directions: Floats) -> Indices:
-    """An order of unit directions (K, 3) in which each is as far as can be from those before it.
+    """Return an order of unit directions (K, 3) in which each is as far as can be from those before
+    it.
 
     Views that come early then look from all around, so that most free points are seen free by one
     of the first few.
@@ -75,7 +76,7 @@ def _fit(x: Floats, size: int) -> tuple[Floats, Floats]:
 def random_pinhole_views(
     count: int, resolution: int, box: Floats, *, rng: np.random.Generator
 ) -> Views:
-    """`count` pinhole cameras that look at the box from random sides, as a depth camera would.
+    """`count` pinhole cameras that see the box from random sides, as a depth camera would.
 
     Directions are uniform over the sphere, distances from the centre uniform in 1.2 to 2.0 of the
     unit frame; the field of view is just wide enough for the box.

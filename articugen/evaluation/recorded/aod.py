@@ -74,7 +74,7 @@ def _pose(path: Path) -> Floats | None:
 
 
 def _surface(frames: list[Frame], part: int) -> Floats:
-    """Return (n, 3) what the images show of a part, in its own frame, without what lies farthest
+    """Return (n, 3) what the images show of a part, in its own frame, without the points farthest
     out: where masks and depth disagree at an edge."""
     points = np.concatenate([
         apply(invert_rigid(f.T_camera_part[part]), f.points[f.part == part]) for f in frames

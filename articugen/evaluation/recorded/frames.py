@@ -59,7 +59,7 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """What the camera sees of the object in one image, in the unit frame.
+    """Object in one image, as the camera sees it, in the unit frame.
 
     Attributes:
         points, part: (n, 3), (n,) without the background.
@@ -104,7 +104,7 @@ def seen_by(depth: Floats, fx: float, fy: float, cx: float, cy: float) -> Floats
 
 def parts_by_surfaces(points: Floats, T_camera_part: Floats, surfaces: Sequence[Floats]) -> Ints:
     """Return (n,) the part whose surface a point is nearest to; BACKGROUND of what is far from all,
-    and of what lies on the plane that the object stands on rather than on a part.
+    and of points on the plane that the object stands on rather than on a part.
 
     Args:
         surfaces: triangles (F, 3, 3) of each part, in its own frame.
@@ -180,11 +180,11 @@ def into_unit_frame(recording: Recording) -> list[Posed]:
     for number, (image, state) in enumerate(zip(recording.frames, states, strict=True)):
         T = to_hinge @ invert_rigid(image.T_camera_part[0])
         points = frame.to_unit(apply(T, image.points))
-        mine = (image.part != BACKGROUND) & (np.abs(points) <= 0.5).all(1)
-        if mine.sum() < FEWEST_POINTS:
+        inside = (image.part != BACKGROUND) & (np.abs(points) <= 0.5).all(1)
+        if inside.sum() < FEWEST_POINTS:
             raise InvalidSource(f"{recording.name}: image {number} hardly shows the object")
         posed.append(
-            Posed(points[mine], image.part[mine], float(state), frame.to_unit(np.zeros(3)))
+            Posed(points[inside], image.part[inside], float(state), frame.to_unit(np.zeros(3)))
         )
     return posed
 
@@ -198,7 +198,7 @@ def _hinge(name: str, T_base_lid: Floats) -> tuple[Floats, Floats]:
     """Return the axis of the greatest turn between two poses, and a point on it."""
     T, (angle, axis) = max(
         ((T, turn_of(T[:3, :3])) for a in T_base_lid for T in T_base_lid @ invert_rigid(a)),
-        key=lambda found: found[1][0],
+        key=lambda item: item[1][0],
     )
     if np.degrees(angle) < _FEWEST_DEGREES:
         raise InvalidSource(
@@ -210,7 +210,7 @@ def _hinge(name: str, T_base_lid: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """How far predictions are off, over all images.
+    """Errors of predictions over all images.
 
     Attributes:
         labels, dominant: (P,) of each predicted part, by its votes over all images; by most votes.
@@ -225,11 +225,11 @@ class Measured:
     numbers: dict[str, float]
 
 
-def measured(posed: Sequence[Posed], found: Sequence[Reconstruction]) -> Measured:
+def measured(posed: Sequence[Posed], shapes: Sequence[Reconstruction]) -> Measured:
     """Compare what a model makes of each image with the truth."""
-    pairs = list(zip(posed, found, strict=True))
+    pairs = list(zip(posed, shapes, strict=True))
     nearest = [metrics.nearest_part(p.points, f.triangles, f.part, f.parts) for p, f in pairs]
-    votes = np.zeros((found[0].parts, 2))
+    votes = np.zeros((shapes[0].parts, 2))
     for near, p in zip(nearest, posed, strict=True):
         votes += metrics.votes(near, p.part, *votes.shape)
     labels, dominant = metrics.labels_from(votes), metrics.dominant_labels(votes)
@@ -237,7 +237,7 @@ def measured(posed: Sequence[Posed], found: Sequence[Reconstruction]) -> Measure
     ious = [metrics.label_iou(named[n], p.part) for n, p in zip(nearest, posed, strict=True)]
     errors, lid = [], np.flatnonzero(dominant == 1)
     first = int(np.argmin([p.state for p in posed]))
-    before, y = found[first].joints, np.array([0.0, 1.0, 0.0])
+    before, y = shapes[first].joints, np.array([0.0, 1.0, 0.0])
     for p, f in pairs:
         if len(lid) and before is not None and f.joints is not None:
             change = f.joints.change_since(before, lid[0], y) - (p.state - posed[first].state)

@@ -164,14 +164,14 @@ def _bodies(table: _Table, markers: list[int]) -> list[_Timed]:
     slots = [f"field.markers{k}." for k in range(len(table.names))]
     slots = [slot for slot in slots if f"{slot}id" in table.names]
     ids = {slot: table.numbers(f"{slot}id")[:, 0] for slot in slots}
-    found = []
+    images = []
     for marker in markers:
         slot = next((slot for slot in slots if (ids[slot] == marker).any()), "")
         if not slot:
             raise InvalidSource(f"{table.path}: has no marker {marker}")
         names = ("%time", f"{slot}pose.position.", f"{slot}pose.orientation.")
-        found.append(table.poses(*names, ids[slot] == marker))
-    return found
+        images.append(table.poses(*names, ids[slot] == marker))
+    return images
 
 
 def _cameras(table: _Table) -> list[_Timed]:

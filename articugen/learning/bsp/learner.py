@@ -24,7 +24,7 @@ class BSPLearner(FieldLearner):
     """Learner of planes, T and W.
 
     Attributes:
-        stuck: for so many iterations no point was between inside and outside.
+        stuck: for how many iterations no point was between inside and outside.
         restarts: how often first weights were drawn again.
     """
 
@@ -62,7 +62,7 @@ class BSPLearner(FieldLearner):
         return super().learn(batch, rng, iteration=iteration)
 
     def _restart(self) -> None:
-        """Draw first weights again, others each time, and begin the optimiser anew."""
+        """Draw first weights again, others each time, and restart the optimiser."""
         self.restarts += 1
         self.stuck = torch.zeros_like(self.stuck)
         with made((self.seed + self.restarts) % 2**63, self.device):

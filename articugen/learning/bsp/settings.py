@@ -48,8 +48,8 @@ class BSPRecipe(TrainRecipe):
     """A recipe of BSP-Net.
 
     Attributes:
-        fourfold: the indicator value inside is 4 for so many first iterations; PPD's authors needed
-            20,000 on eyeglasses, which are so thin that all was left empty.
+        fourfold: number of first iterations in which the indicator value inside is 4; PPD's authors
+            needed 20,000 on eyeglasses, which are so thin that all was left empty.
         restart_after: iterations of a continuous stage in which no point lies between inside and
             outside; nothing can be learned then, and other first weights are drawn.
     """

@@ -53,7 +53,7 @@ def argmax_of_points(x: Tensor) -> Tensor:
 
 
 def distinct(index: Tensor) -> Tensor:
-    """(B, k) the numbers in each row of (B, n), once each; rows that have fewer repeat one."""
+    """Return (B, k) numbers in each row of (B, n), once each; rows that have fewer repeat one."""
     ordered = index.sort(1).values
     again = ordered[:, 1:] == ordered[:, :-1]
     ordered[:, 1:] = torch.where(again, ordered[:, :1], ordered[:, 1:])

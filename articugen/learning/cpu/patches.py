@@ -17,8 +17,8 @@ def _cell(coordinate, cells):
 
 @kernel
 def patches(clouds, cells, along):
-    """What clouds (B, n, 3), single precision, fill of a grid of `cells` an edge, by patches of
-    `along` cells an edge.
+    """Return what clouds (B, n, 3), single precision, fill of a grid of `cells` an edge, by patches
+    of `along` cells an edge.
 
     Returns:
         (M,) int64 which patches hold something, of B (cells / along)^3, in the order of points; and
@@ -28,7 +28,7 @@ def patches(clouds, cells, along):
     B, n, _ = clouds.shape
     blocks = cells // along
     row = np.full(B * blocks**3, -1, np.int32)
-    found = np.empty(min(len(row), 8 * B * n), np.int64)
+    filled = np.empty(min(len(row), 8 * B * n), np.int64)
     count = 0
     for b in range(B):
         for i in range(n):
@@ -40,9 +40,9 @@ def patches(clouds, cells, along):
                 patch = ((b * blocks + x // along) * blocks + y // along) * blocks + z // along
                 if row[patch] < 0:
                     row[patch] = count
-                    found[count] = patch
+                    filled[count] = patch
                     count += 1
-    held = np.zeros((count, along**3), np.float32)
+    values = np.zeros((count, along**3), np.float32)
     for b in range(B):
         for i in range(n):
             x0, dx = _cell(clouds[b, i, 0], cells)
@@ -56,5 +56,5 @@ def patches(clouds, cells, along):
                 share = dx if u else np.float32(1.0) - dx
                 share *= dy if v else np.float32(1.0) - dy
                 share *= dz if w else np.float32(1.0) - dz
-                held[row[patch], inside] += share
-    return found[:count].copy(), held
+                values[row[patch], inside] += share
+    return filled[:count].copy(), values

@@ -10,7 +10,7 @@ from articugen.learning.recipe import DataSettings
 
 @dataclass(frozen=True)
 class BatchSpec:
-    """What a learner must be given; nothing else is read or unpacked.
+    """Needs of a learner; nothing else is read or unpacked.
 
     Attributes:
         surface_points, grid_points, uniform_points, near_points, band_points, varying_points,
@@ -25,7 +25,7 @@ class BatchSpec:
         hidden: whether it is wanted which voxels of the finest grid are not free.
         normals: whether the normals of surface points are wanted.
         motions: whether it is wanted how the true parts have moved, for `Batch.rest` and `joints`.
-        chances: so many random numbers the learner asks for each sample.
+        chances: how many random numbers the learner asks for each sample.
     """
 
     surface_points: int
@@ -53,12 +53,13 @@ class BatchSpec:
 
     @staticmethod
     def of(data: DataSettings, **more: Any) -> "BatchSpec":
-        """What a recipe says, and more."""
+        """Return what a recipe's data settings ask for, and `more`."""
         return BatchSpec(**data.model_dump(exclude={"validation_objects"}), **more)
 
     @property
     def knows(self) -> Literal["", "groups", "labels"]:
-        """What training is given beside shapes: true parts, or which instances show one object."""
+        """Knowledge that training gets beside shapes: true parts, or which instances show one
+        object."""
         if self.parts or self.motions:
             return "labels"
         compares = self.poses or self.varying_points > 0
@@ -75,7 +76,7 @@ class Batch:
         part: (B, n) the cloud's true parts where they were asked for, else (B, 0).
         points: (B, m, 3) query points.
         occupied: (B, m) bool, their indicator values.
-        spread: the first so many query points are spread evenly over the cube, the others lie near
+        spread: how many query points, the first ones, lie evenly in the cube; the others lie near
             the surface, in the band around it, and where the object's poses differ, in this order.
         chance: (B, k) random numbers in [0, 1), for whatever the learner does with the samples.
         rest: (B, n, 3) where the cloud's points lie in the canonical pose, if motions were asked

@@ -1,4 +1,5 @@
-"""Query points where they tell most: voxels of a fine grid, as many of an instance as are kept.
+"""Query points where they are most informative: voxels of a fine grid, as many of an instance as
+are kept.
 
 Two kinds: `varying`, whose label differs between the poses of one object, and those in the `band`
 around the material of one pose. Free and occupied ones are kept apart, so that a batch can hold as
@@ -89,16 +90,17 @@ def pack(
     for i, (mask, inside) in enumerate(zip(chosen, occupied, strict=True)):
         rng = generator(0, kind, str(names[i]), int(states[i]))
         for label, of_label in enumerate((mask & ~inside, mask & inside)):
-            found = np.flatnonzero(of_label)
-            if len(found) > KEPT:
-                found = rng.choice(found, KEPT, replace=False, shuffle=False)
-            index[i, label, : len(found)] = found
-            count[i, label] = len(found)
+            cells = np.flatnonzero(of_label)
+            if len(cells) > KEPT:
+                cells = rng.choice(cells, KEPT, replace=False, shuffle=False)
+            index[i, label, : len(cells)] = cells
+            count[i, label] = len(cells)
     return index, count
 
 
 def differing(occupied: Bools, names: NDArray[Any]) -> list[Bools]:
-    """For each instance (N, R, R, R) which cells are not the same in all poses of its object."""
+    """Return for each instance which cells (N, R, R, R) are not the same in all poses of its
+    object."""
     of = {}
     for name in dict.fromkeys(names.tolist()):
         poses = occupied[names == name]
@@ -107,13 +109,14 @@ def differing(occupied: Bools, names: NDArray[Any]) -> list[Bools]:
 
 
 def band(inside: Bools) -> Bools:
-    """Which cells (R, R, R) have both labels within `REACH` cells along each axis."""
+    """Return which cells (R, R, R) have both labels within `REACH` cells along each axis."""
     both = _packed_near(inside) & _packed_near(~inside)
     return np.unpackbits(both, axis=2, count=inside.shape[2]).view(np.bool_)
 
 
 def _packed_near(mask: Bools) -> NDArray[np.uint8]:
-    """Those within `REACH` cells, along each axis, of one that is set: eight a byte along z."""
+    """Return the cells within `REACH` cells, along each axis, of one that is set: eight a byte
+    along z."""
     apart = np.pad(mask, ((0, 0), (0, 0), (0, REACH)))  # one line of cells: long moves are fast
     along = _widened(apart.ravel(), 0).reshape(apart.shape)[..., : mask.shape[2]]
     packed = np.packbits(along, axis=2)

@@ -51,7 +51,7 @@ def check_shard(shard: Shard, spec: BatchSpec, resolutions: Sequence[int]) -> No
 
 
 def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
-    """Every joint needs a candidate of its kind."""
+    """Check that every joint has a candidate of its kind."""
     if joints is None:
         return
     kind = shard.read("joint_kind")
@@ -66,7 +66,8 @@ def _check_joints(shard: Shard, joints: tuple[int, int] | None) -> None:
 
 
 def _check_frame(shard: Shard) -> None:
-    """All poses of an object lie in one unit frame, in which its fixed part stays where it is."""
+    """Check that all poses of an object lie in one unit frame, in which its fixed part stays where
+    it is."""
     names, scale = np.array(shard.object_ids()), shard.read("scale")
     frame = np.concatenate([shard.read("center") / scale[:, None], np.log(scale)[:, None]], 1)
     moved = np.abs(shard.read("part_motion")[:, 0] - np.eye(4)).max(axis=(1, 2)) > SAME
@@ -134,10 +135,10 @@ def lying_otherwise(folder: Path) -> list[str]:
 
 
 def apart(along: Mapping[str, tuple[NDArray[np.uint8], NDArray[np.float64]]]) -> list[str]:
-    """Of objects with kinds (J,) and unit directions (J, 3) of their joints those that have no
-    direction, within 30 degrees, with half of the others in common; what has no joint is left out.
-    """
-    along, found = {name: joints for name, joints in along.items() if len(joints[0])}, []
+    """Return, of objects with kinds (J,) and unit directions (J, 3) of their joints, those that
+    have no direction, within 30 degrees, with half of the others in common; what has no joint is
+    left out."""
+    along, groups = {name: joints for name, joints in along.items() if len(joints[0])}, []
     for name, (kind, axis) in along.items():
         same = [
             bool(((np.abs(axis @ to.T) > COS_30) & (kind[:, None] == of)).any())
@@ -145,12 +146,12 @@ def apart(along: Mapping[str, tuple[NDArray[np.uint8], NDArray[np.float64]]]) ->
             if other != name
         ]
         if same and 2 * sum(same) < len(same):
-            found.append(name)
-    return found
+            groups.append(name)
+    return groups
 
 
 def _check_poses(shard: Shard) -> None:
-    """Each object is there in several poses."""
+    """Check that each object is there in several poses."""
     names, count = np.unique(shard.object_ids(), return_counts=True)
     if count.min() < 2:
         raise UnfitData(

@@ -28,7 +28,7 @@ JOINTS = ("kind", "state", "axis", "pivot")
 """The fields of joints that are packed for a learner which asks for motions."""
 
 FEW = 4
-"""Where at most one in so many stored points is taken, one comes from each of equal stretches."""
+"""Where at most one in this many stored points is taken, one comes from each of equal stretches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class PackedSplit:
 
     @property
     def bytes(self) -> int:
-        """What the tensors take."""
+        """Return the size of the tensors."""
         sizes = []
         _changed(self, lambda tensor: sizes.append(tensor.nbytes) or tensor)
         return sum(sizes)
@@ -110,23 +110,23 @@ class PackedSplit:
             rng: of the device that the split lies on; None for torch's own.
         """
         at = index_on(self.surface.device, rows)
-        each = at[:, None]
+        column = at[:, None]
         cloud, where = self._clouds(at, spec, rng)
-        part = self.part[each, where] if self.part.shape[1] else self.part[at]
+        part = self.part[column, where] if self.part.shape[1] else self.part[at]
         points: list[Tensor] = []
         occupied: list[Tensor] = []
         if spec.grid_points:
             grid = self.grids[resolution]
             where = _places(at, grid.shape[1], spec.grid_points, rng)
             points.append(voxel_centres(where, resolution))
-            occupied.append(grid[each, where] > 0)
+            occupied.append(grid[column, where] > 0)
         for wanted, (stored, label) in (
             (spec.uniform_points, self.uniform),
             (spec.near_points, self.near),
         ):
             where = _places(at, stored.shape[1], wanted, rng)
-            points.append(unpacked(stored[each, where]))
-            occupied.append(label[each, where] > 0)
+            points.append(unpacked(stored[column, where]))
+            occupied.append(label[column, where] > 0)
         for wanted, some in ((spec.band_points, self.band), (spec.varying_points, self.varying)):
             if wanted:
                 centres, inside = some.draw(at, wanted, rng)
@@ -144,12 +144,13 @@ class PackedSplit:
     def _clouds(
         self, at: Tensor, spec: BatchSpec, rng: torch.Generator | None
     ) -> tuple[Tensor, Tensor]:
-        """The stored clouds (B, n, 3) of some instances, and the places of their points (B, n)."""
+        """Return the stored clouds (B, n, 3) of some instances, and the places of their points (B,
+        n)."""
         if spec.partial:
             B, cameras = len(at), self.partial.shape[1]
             camera = torch.randint(cameras, (B,), generator=rng, device=at.device)
-            seen = self.partial[at, camera]
-            return seen, torch.arange(seen.shape[1], device=at.device).expand(B, -1)
+            partial = self.partial[at, camera]
+            return partial, torch.arange(partial.shape[1], device=at.device).expand(B, -1)
         where = _places(at, self.surface.shape[1], spec.surface_points, rng)
         return self.surface[at[:, None], where], where
 
@@ -322,8 +323,8 @@ def _read(
     finest: int,
     objects: NDArray[Any] | None,
 ) -> dict[str, NDArray[Any]]:
-    """What is packed of a shard, by name; `finest` is the grid that cells are chosen from, or 0;
-    `objects` are what its instances show, as it was found."""
+    """Return what is packed of a shard, by name; `finest` is the grid that cells are chosen from,
+    or 0; `objects` are what its instances show, as it was found."""
     with open_shard(path) as shard:
         for name, should in about.items():
             if shard.attributes[name] != should:

@@ -47,5 +47,5 @@ def pose(coordinates: Floats, points: Floats, rng: np.random.Generator) -> Float
 def poses(coordinates: Floats, points: Floats, part: Ints, rng: np.random.Generator) -> Floats:
     """Return (K, 4, 4) the pose of each part, from coordinates (n, K, 3), as `pose` takes them, of
     points (n, 3) of parts (n,)."""
-    each = (part == k for k in range(coordinates.shape[1]))
-    return np.stack([pose(coordinates[on, k], points[on], rng) for k, on in enumerate(each)])
+    parts = (part == k for k in range(coordinates.shape[1]))
+    return np.stack([pose(coordinates[on, k], points[on], rng) for k, on in enumerate(parts)])

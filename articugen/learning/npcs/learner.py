@@ -42,7 +42,7 @@ class NPCSLearner(NetworkLearner):
         super().__init__(settings, lambda: NPCSNet(settings.model), seed, device)
 
     def begin(
-        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+        self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
         """Measure the boxes of parts.
 

@@ -43,7 +43,7 @@ class NSDLearner(FieldLearner):
 
     @torch.no_grad()
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
-        """Return each star as a mesh, without what lies in others; the whole from a grid."""
+        """Return each star as a mesh, without what is inside others; the whole from a grid."""
         few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
         code = self.network.encode(few[None].to(self.device))
         at, faces = sphere()

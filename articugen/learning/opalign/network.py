@@ -70,12 +70,12 @@ class Segmenter(nn.Module):
     def forward(self, points: Tensor) -> tuple[Tensor, Joints]:
         """Return the labels (B, n, P) and joints of shapes (B, n, 3)."""
         first, *others = zip(self.blocks, self.norms, strict=True)
-        each = first[1](first[0](self.position(points)).mT).mT
+        features = first[1](first[0](self.position(points)).mT).mT
         for block, norm in others:
-            pooled = each.amax(1, keepdim=True).expand_as(each)
-            each = norm(block(torch.cat([each, pooled], 2)).mT).mT
-        label = self.label(each.flatten(0, 1)).view(*points.shape[:2], -1).softmax(2)
-        of_joints = self.joint(each.amax(1)).view(-1, 8, self.joints).mT
+            pooled = features.amax(1, keepdim=True).expand_as(features)
+            features = norm(block(torch.cat([features, pooled], 2)).mT).mT
+        label = self.label(features.flatten(0, 1)).view(*points.shape[:2], -1).softmax(2)
+        of_joints = self.joint(features.amax(1)).view(-1, 8, self.joints).mT
         pivot, direction, state = of_joints.split([3, 3, 2], 2)
         direction = direction / direction.norm(dim=2, keepdim=True).clamp(min=1e-9)
         return label, Joints(pivot, direction, self.reach * (state.sigmoid() - 0.5))
@@ -96,8 +96,10 @@ class Block(nn.Module):
 
 def normed(*widths: int, slope: float = 0.01) -> list[nn.Module]:
     """Return linear layers, each with a batch norm and a leaky ReLU."""
-    each = [(nn.Linear(a, b), nn.BatchNorm1d(b), nn.LeakyReLU(slope)) for a, b in pairwise(widths)]
-    return [layer for layers in each for layer in layers]
+    blocks = [
+        (nn.Linear(a, b), nn.BatchNorm1d(b), nn.LeakyReLU(slope)) for a, b in pairwise(widths)
+    ]
+    return [layer for layers in blocks for layer in layers]
 
 
 def alignment(there: Joints, canonical: Joints, *, turns: bool) -> tuple[Tensor, Tensor]:

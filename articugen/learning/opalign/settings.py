@@ -32,7 +32,7 @@ class ModelSettings(Section):
 
 
 class OPAlignSchedule(Schedule):
-    """Schedule that halves the rate, and the weight of the whole shape, after so many iterations
+    """Schedule that halves the rate, and the weight of the whole shape, after some iterations
     again and again."""
 
     COUNTED = ("halve_after",)

@@ -56,7 +56,7 @@ class DepthLearner(Predictor):
         self.is_taught = False
 
     def begin(
-        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+        self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
         """Take over the teacher's weights, if nothing was learned from it yet."""
         if not self.is_taught:
@@ -71,8 +71,10 @@ class DepthLearner(Predictor):
             first = point.learner()
             assert isinstance(first, PPDLearner)
             self.residual_direction = first.residual_direction
-            own = {f"encoder.{name}": value for name, value in self.student.state_dict().items()}
-            self.model.load_state_dict(first.model.state_dict() | own)
+            encoder = {
+                f"encoder.{name}": value for name, value in self.student.state_dict().items()
+            }
+            self.model.load_state_dict(first.model.state_dict() | encoder)
             self.teacher.load_state_dict(first.model.encoder.state_dict())
             self.is_taught = True
         self.wanted = self._wanted(training)
@@ -92,10 +94,10 @@ class DepthLearner(Predictor):
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """`latent`, the loss, over all cameras; `rec` and `iou` from what the first one sees."""
         wanted = self._wanted(held_out)
-        each = [mse_loss(self.student(unpacked(c)), wanted) for c in held_out.partial.unbind(1)]
-        seen = held_out.partial[:, 0]
-        rest = validation(self.model, seen, held_out, self.residual_direction)
-        return {"latent": float(torch.stack(each).mean()), **rest}
+        losses = [mse_loss(self.student(unpacked(c)), wanted) for c in held_out.partial.unbind(1)]
+        partial = held_out.partial[:, 0]
+        rest = validation(self.model, partial, held_out, self.residual_direction)
+        return {"latent": float(torch.stack(losses).mean()), **rest}
 
     def state(self) -> dict[str, Any]:
         return {

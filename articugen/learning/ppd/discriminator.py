@@ -44,14 +44,16 @@ class Discriminator(nn.Module):
         self.layers = nn.ModuleList(SpectralLinear(*width) for width in widths)
 
     def forward(self, cloud: Tensor, weights: list[Weight] | None = None) -> Tensor:
-        """The scores; at most 256 points of a cloud decide its maximum, only those get a graph."""
+        """Return the scores; at most 256 points of a cloud decide its maximum, only those get a
+        graph."""
         weights = weights or self.weights()
         if torch.is_grad_enabled():
             cloud = gather_points(cloud, self.decisive(cloud, weights))
         return self.score(cloud, weights)
 
     def weights(self) -> list[Weight]:
-        """(normalised weight, bias) of all layers, to be used in one step for several clouds."""
+        """Return (normalised weight, bias) of all layers, to be used in one step for several
+        clouds."""
         layers = [layer for layer in self.layers if isinstance(layer, SpectralLinear)]
         return [(layer.normalized(), layer.bias) for layer in layers]
 
@@ -69,7 +71,7 @@ class Discriminator(nn.Module):
 
 
 def _each(cloud: Tensor, weights: list[Weight]) -> Tensor:
-    """What the point layers make of each point, (B, n, 256), before the last activation.
+    """Return features of each point by the point layers, (B, n, 256), before the last activation.
 
     That one is monotone: it may come after the maximum, where it is applied once.
     """

@@ -34,7 +34,7 @@ class InverseMotion:
 
 
 def rotation_from_z(directions: Tensor) -> Tensor:
-    """For each unit direction (..., 3) a rotation M (..., 3, 3) with M e_z = direction.
+    """Return rotations M (..., 3, 3) with M e_z = direction, for unit directions (..., 3).
 
     The shortest one for directions that point up; for others that of their image under the half
     turn about x, turned back: exact everywhere, also at -z.

@@ -34,14 +34,14 @@ from articugen.learning.tensors import made
 MOVED_POSES, MOVED_POINTS = 6, 2048
 
 LABELLED = 512
-"""At about so many points of a cloud it is asked whose field is the greatest."""
+"""Points of a cloud, about, at which it is asked whose field is the greatest."""
 
 
 class Predictor(Learner):
-    """What a PPD model makes of clouds.
+    """Learner that predicts as a PPD model does.
 
     Attributes:
-        points: so many points of a cloud are examined; None means all.
+        points: how many points of a cloud are examined; None means all.
         residual_direction: whether r^z counts.
     """
 
@@ -51,16 +51,17 @@ class Predictor(Learner):
 
     @property
     def parameters(self) -> int:
-        """How many numbers say what shapes are, as the paper counts: not those of poses."""
+        """Number of values that describe shapes, as the paper counts; those of poses are left
+        out."""
         of_shapes = (self.model.encoder, self.model.shape)
         return sum(p.numel() for module in of_shapes for p in module.parameters())
 
     def predict(self, cloud: Floats) -> Prediction:
-        """Of one cloud (n, 3), a batch of one."""
+        """Predict from one cloud (n, 3), as a batch of one."""
         device = next(self.model.parameters()).device
-        given = torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)[None]
+        clouds = torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)[None]
         with torch.no_grad():
-            return self.model(given, residual_direction=self.residual_direction)
+            return self.model(clouds, residual_direction=self.residual_direction)
 
     def reconstruct(
         self, cloud: Floats, *, resolution: int, meshes: Meshes | None = None
@@ -72,8 +73,8 @@ class Predictor(Learner):
     def between(
         self, one: Floats, other: Floats, steps: int, *, resolution: int
     ) -> tuple[list[Reconstruction], list[Reconstruction]]:
-        """From one cloud (n, 3) to another in so many steps: shapes in the pose of the one, and
-        states of its own shape (the paper's figure of interpolations)."""
+        """Return, from one cloud (n, 3) to another in `steps` steps, shapes in the pose of the one,
+        and states of its own shape (the paper's figure of interpolations)."""
         first, last = self.predict(one), self.predict(other)
         shapes, states = [], []
         for share in np.linspace(0.0, 1.0, steps).tolist():
@@ -126,7 +127,7 @@ class PPDLearner(Predictor):
         self.discriminator_descent = Descent(self.discriminator, optimiser)
 
     def begin(
-        self, training: PackedSplit, beside: Path, tell: Callable[[str], None] = lambda _: None
+        self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
         """Find the joints of the training objects, if there is a warm start."""
         if self.settings.warm_start.share:
@@ -134,14 +135,16 @@ class PPDLearner(Predictor):
             if self.inputs.groups == "found":
                 objects = len(set(training.object_id.tolist()))
                 shown = counted(objects, "object")
-                tell(f"{len(training)} training instances show {shown}, by their clouds")
-            found, rows = discovered(training, beside, directions_of(model), tell)
-            known = sum(each is not None for each in likely(found, model))
-            tell(f"joints are known of {known} of {len(found)} training objects")
-            if self.mirrors and is_one_sided(found, model):
+                notify(f"{len(training)} training instances show {shown}, by their clouds")
+            discoveries, rows = discovered(training, beside, directions_of(model), notify)
+            known = sum(one is not None for one in likely(discoveries, model))
+            notify(f"joints are known of {known} of {len(discoveries)} training objects")
+            if self.mirrors and is_one_sided(discoveries, model):
                 self.mirrors = False
-                tell("no object is mirrored: joints lean to one side, a mirror shows none like it")
-            self.targets = targets(training, found, rows, model, mirrored=self.mirrors)
+                notify(
+                    "no object is mirrored: joints lean to one side, a mirror shows none like it"
+                )
+            self.targets = targets(training, discoveries, rows, model, mirrored=self.mirrors)
 
     def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
         """Return the batch, varied where the recipe says so, and what a warm start asks of the
@@ -153,13 +156,13 @@ class PPDLearner(Predictor):
         aim = self.targets.of(batch.rows, mirrored)
         owner = aim.owner(batch.points, batch.occupied)
         every = max(batch.cloud.shape[1] // LABELLED, 1)
-        seen = batch.cloud[:, ::every]
-        labels = aim.owner(seen, torch.ones_like(seen[..., 0], dtype=torch.bool))
+        some = batch.cloud[:, ::every]
+        labels = aim.owner(some, torch.ones_like(some[..., 0], dtype=torch.bool))
         if vary:
             variation = Variation.of(batch.chance, mirrored, aim, vary)
             batch, freed = variation.batch(batch)
             owner = owner.masked_fill(freed, -1)
-            aim, seen = variation.targets(aim, turning), batch.cloud[:, ::every]
+            aim, some = variation.targets(aim, turning), batch.cloud[:, ::every]
         if self.iteration >= warm.share * self.settings.schedule.iterations:
             return batch, None
 
@@ -167,7 +170,7 @@ class PPDLearner(Predictor):
             terms = warm_start.aim_terms(predicted, part_logits, owner, aim, warm, turning)
             if warm.labels:
                 motion = self.model.motion(predicted.pose)
-                fields = self.model.fields(predicted.shape, motion, seen).product
+                fields = self.model.fields(predicted.shape, motion, some).product
                 wrong = warm_start.labels_entropy(fields, labels, aim.known)
                 terms["aim_labels"] = warm.labels * wrong
             return terms
@@ -208,12 +211,13 @@ class PPDLearner(Predictor):
         self.descent.check()
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
-        """How well held-out objects are reconstructed, and how well their motions are known."""
+        """Return how well held-out objects are reconstructed, and how well their motions are
+        known."""
         clouds = held_out.surface[:, : self.points]
-        found = validation(self.model, clouds, held_out, self.residual_direction)
-        found |= motion_misfit(self.model, clouds, held_out, self.residual_direction)
+        measures = validation(self.model, clouds, held_out, self.residual_direction)
+        measures |= motion_misfit(self.model, clouds, held_out, self.residual_direction)
         by = self.settings.seeds.chosen_by
-        return {by: found[by], **found} if by in found else found
+        return {by: measures[by], **measures} if by in measures else measures
 
     def state(self) -> dict[str, Any]:
         return {
@@ -251,7 +255,8 @@ def validation(
 def motion_misfit(
     model: PPD, clouds: Tensor, held_out: PackedSplit, residual_direction: bool
 ) -> dict[str, float]:
-    """How well predicted motions carry the first pose of unseen objects onto their other poses.
+    """Return how well predicted motions carry the first pose of unseen objects onto their other
+    poses.
 
     `moved` is the mean square of the distance between the points of the first pose, each moved with
     the part whose field is the greatest there, and the points of the other pose, both ways; divided
@@ -272,10 +277,10 @@ def motion_misfit(
         predicted = model(unpacked(clouds[rows]), residual_direction=residual_direction)
         motion = model.motion(predicted.pose)
         points = unpacked(held_out.surface[rows, :MOVED_POINTS])
-        own = model.fields(predicted.shape, motion, points).product[0].argmax(0)
-        at_rest = motion.apply(points)[0, own, torch.arange(len(own), device=own.device)]
-        back = at_rest - motion.offset[1:, own]
-        there = torch.einsum("kpij,kpi->kpj", motion.rotation[1:, own], back)
+        part = model.fields(predicted.shape, motion, points).product[0].argmax(0)
+        at_rest = motion.apply(points)[0, part, torch.arange(len(part), device=part.device)]
+        back = at_rest - motion.offset[1:, part]
+        there = torch.einsum("kpij,kpi->kpj", motion.rotation[1:, part], back)
         moved.append(_between(there, points[1:]))
         still.append(_between(points[:1].expand_as(there), points[1:]))
     if not moved:
@@ -284,7 +289,7 @@ def motion_misfit(
 
 
 def _between(some: Tensor, others: Tensor) -> Tensor:
-    """The mean square of the distance from points (B, n, 3) to the nearest of others, and from
+    """Return mean square of the distance from points (B, n, 3) to the nearest of others, and from
     those to these: samples of one surface are never quite alike, and squares make little of it."""
     far = torch.cdist(some, others)
     return far.amin(2).square().mean() + far.amin(1).square().mean()

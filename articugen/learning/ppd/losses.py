@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, mse_loss
 
 POINTS_OF_THE_PAPER = 4096
-"""The paper's weights belong to sums over so many points; means are multiplied by it."""
+"""Points over which the paper's losses are sums; means are multiplied by it."""
 
 
 def reconstruction(part_logits: Tensor, occupied: Tensor) -> Tensor:
@@ -91,7 +91,7 @@ def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -
 
 
 def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: Tensor) -> Tensor:
-    """The mean squared distance from a pivot to where its part and the fixed part meet, (...).
+    """Return mean squared distance from a pivot to where its part and the fixed part meet, (...).
 
     Args:
         pivots: (..., B, R, 3), the final ones and the raw q^c for instance.
@@ -117,8 +117,8 @@ def release_chain(pivots: Tensor, points: Tensor, fields: Tensor) -> Tensor:
     R = pivots.shape[1]
     greatest, owner = fields.max(1)
     solid = (greatest > 0)[:, None]
-    mine = owner[:, None] == torch.arange(1, 1 + R, device=owner.device)[:, None]
-    both = torch.stack([solid & mine, solid & ~mine])
+    of_part = owner[:, None] == torch.arange(1, 1 + R, device=owner.device)[:, None]
+    both = torch.stack([solid & of_part, solid & ~of_part])
     squares = nearest_distance(pivots, points, both).square()
     there = both.any(-1).to(pivots.dtype)
     return 0.5 * (squares.sum(1) / there.sum(1).clamp(min=1.0)).mean(1).sum()

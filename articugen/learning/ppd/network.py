@@ -71,7 +71,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the model makes of a batch of clouds."""
+    """Output of the model for a batch of clouds."""
 
     shape: ShapeCode
     pose: Pose
@@ -188,7 +188,7 @@ def rest_states(states: Tensor, revolute: int) -> Tensor:
 
 
 def amount_of(state: Tensor, revolute: int) -> Tensor:
-    """The amounts a (B, J) of states inside their ranges, of which the first are revolute."""
+    """Return amounts a (B, J) of states inside their ranges, of which the first are revolute."""
     return 0.5 * torch.atanh(2.0 * state / widest(state, revolute) - 1.0)
 
 

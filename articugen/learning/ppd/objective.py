@@ -87,8 +87,8 @@ def generator_terms(
     posed: RandomPose | None = None,
     aim: Callable[[Prediction, Tensor], Terms] | None = None,
 ) -> Terms:
-    """Everything the model itself minimises; L_adv_g where there are random poses, and what a warm
-    start asks of it and the fields (B, P, n) where there is an `aim`."""
+    """Return all terms that the model itself minimises; L_adv_g where there are random poses, and
+    what a warm start asks of it and the fields (B, P, n) where there is an `aim`."""
     fields = model.fields(prediction.shape, model.motion(prediction.pose), batch.points)
     there = {
         "rec": lambda: losses.reconstruction(fields.product, batch.occupied),
@@ -109,10 +109,10 @@ def generator_terms(
 
 
 def paper_terms(
-    model: PPD, found: Prediction, fields: PartLogits, batch: Batch, width: float
+    model: PPD, predicted: Prediction, fields: PartLogits, batch: Batch, width: float
 ) -> Unasked:
     """Return L_vol, L_vq, L_dev, L_loc and L_var, as Eq. 3 to 7 are printed."""
-    pose, turning = found.pose, slice(1, 1 + len(model.settings.revolute))
+    pose, turning = predicted.pose, slice(1, 1 + len(model.settings.revolute))
     joints = model.settings.joints
 
     def location() -> Tensor:
@@ -127,7 +127,7 @@ def paper_terms(
 
     vq = {"vq": lambda: losses.quantization(*pose.quantizer)} if model.settings.common_pose else {}
     return {
-        "vol": lambda: _volume(model, found.shape, fields, batch, "instance"),
+        "vol": lambda: _volume(model, predicted.shape, fields, batch, "instance"),
         **vq,
         "dev": deviation,
         "loc": location,
@@ -137,11 +137,11 @@ def paper_terms(
 
 
 def release_terms(
-    model: PPD, found: Prediction, fields: PartLogits, batch: Batch, width: float
+    model: PPD, predicted: Prediction, fields: PartLogits, batch: Batch, width: float
 ) -> Unasked:
     """Return the same as the authors' release computes them, which has a quantiser of the shape's
     template, with one code, as well."""
-    pose, R, has_common = found.pose, len(model.settings.revolute), model.settings.common_pose
+    pose, R, has_common = predicted.pose, len(model.settings.revolute), model.settings.common_pose
     turning = slice(1, 1 + R)
 
     def location() -> Tensor:
@@ -152,8 +152,8 @@ def release_terms(
         return near.sum() + chain
 
     def quantization() -> Tensor:
-        both = [*[pose.quantizer] * has_common, found.shape.quantizer]
-        return torch.stack([losses.release_quantization(*each) for each in both]).sum()
+        both = [*[pose.quantizer] * has_common, predicted.shape.quantizer]
+        return torch.stack([losses.release_quantization(*some) for some in both]).sum()
 
     def deviation() -> Tensor:
         total = losses.release_deviation(pose.pivot, pose.pivot_common)
@@ -162,7 +162,7 @@ def release_terms(
         return total
 
     return {
-        "vol": lambda: _volume(model, found.shape, fields, batch, "product"),
+        "vol": lambda: _volume(model, predicted.shape, fields, batch, "product"),
         "vq": quantization,
         "dev": deviation,
         "loc": location,
@@ -171,9 +171,9 @@ def release_terms(
     }
 
 
-def mixed_terms(*given: Any) -> Unasked:
+def mixed_terms(*arguments: Any) -> Unasked:
     """Return the release's, but for L_dev, which is the paper's."""
-    return {**release_terms(*given), "dev": paper_terms(*given)["dev"]}
+    return {**release_terms(*arguments), "dev": paper_terms(*arguments)["dev"]}
 
 
 FORMS = {"paper": paper_terms, "mixed": mixed_terms, "release": release_terms}

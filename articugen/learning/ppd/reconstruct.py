@@ -18,7 +18,7 @@ from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.shape import PartBox, ShapeCode, ShapeDecoder
 
 ROOM = 1.5
-"""A part is not farther from the middle of its box than so many times the box's half edges: sines
+"""Farthest a part is from the middle of its box, in the box's half edges: sines
 repeat, and far away, where hardly a point is ever drawn, there would be crumbs."""
 
 _MARGIN = 3.0**0.5 / 32.0
@@ -29,7 +29,7 @@ _AT_MOST, _NOWHERE = -1.0, -10.0
 """The field beyond that many half edges at most, and beyond the margin."""
 
 _LOOKED_FOR = 12
-"""So many places along each edge of the box that a part can be in."""
+"""Places along each edge of the box that a part can be in."""
 
 
 def reconstruction_of(
@@ -88,14 +88,14 @@ def logits_at(
     sigmoid; below 0 far outside of the part's box, where it has one."""
     inverse = model.motion(predicted.pose)
     points = points.to(inverse.offset)
-    each = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
-    each = each.to(points.device)
+    numbers = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
+    numbers = numbers.to(points.device)
     if not predicted.shape.box:
-        field = _field(model.shape, predicted.shape, inverse, points, each)
+        field = _field(model.shape, predicted.shape, inverse, points, numbers)
     else:
-        field = points.new_full((len(each), len(points)), _NOWHERE)
+        field = points.new_full((len(numbers), len(points)), _NOWHERE)
         columns = points.mT.contiguous()
-        for values, part in zip(field, each.split(1), strict=True):
+        for values, part in zip(field, numbers.split(1), strict=True):
             beyond = _beyond(predicted.shape.box, inverse, columns, part)
             near = torch.nonzero(beyond < _MARGIN)[:, 0]
             alone = _field(model.shape, predicted.shape, inverse, points[near], part)[0]
@@ -126,7 +126,7 @@ def _field(
 
 
 def _weights_of(decoder: ShapeDecoder, parts: Tensor) -> dict[str, Tensor]:
-    """What the layers of some parts know."""
+    """Return the weights of the layers of some parts."""
     both = torch.cat([parts, decoder.parts + parts])
     groups = {"coordinate": parts, "trunk_0": parts, "trunk_1": parts}
     groups |= {"head_0": both, "head_1": both, "head_2": both}

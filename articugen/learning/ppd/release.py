@@ -50,13 +50,13 @@ def release_meshes(logits: Floats) -> tuple[list[Floats], Floats]:
     R = logits.shape[-1]
     inside = 0.5 * np.tanh(0.5 * logits)  # the sigmoid less 0.5
     owner = logits.argmax(0)
-    each = [np.where(owner == i, part, _OUTSIDE) for i, part in enumerate(inside)]
-    parts = [zero_level(part).triangles - 1.0 / R for part in each]
+    fields = [np.where(owner == i, part, _OUTSIDE) for i, part in enumerate(inside)]
+    parts = [zero_level(part).triangles - 1.0 / R for part in fields]
     return parts, zero_level(inside.max(0)).triangles - 1.0 / R
 
 
 def reconstruct(learner: Predictor, cloud: Floats, resolution: int) -> Reconstruction:
-    """What is measured here."""
+    """Return what the release's protocol measures."""
     return learner.reconstruct(cloud, resolution=resolution, meshes=release_meshes)
 
 
@@ -96,23 +96,23 @@ def evaluate(
         tally.at(canonical)
         _label_iou(tally, left_out, canonical, first, protocol)
         for instance in posed:
-            found = in_points(instance)
+            predicted = in_points(instance)
             tally.at(instance)
-            _label_iou(tally, left_out, instance, found, protocol)
-            _epe(tally, left_out, (canonical, instance), (first, found), protocol)
+            _label_iou(tally, left_out, instance, predicted, protocol)
+            _epe(tally, left_out, (canonical, instance), (first, predicted), protocol)
         on_object(canonical.object_id)
     return tally.evaluation(LeftOut(**left_out))
 
 
-def as_points(found: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
-    """Return the same with `count` points in the place of each part's surface, uniform by area."""
+def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
+    """Return the same with `count` points instead of each part's surface, uniform by area."""
     drawn = [
-        (i, sample(found.triangles[found.part == i], count, rng))
-        for i in np.unique(found.part).tolist()
+        (i, sample(shape.triangles[shape.part == i], count, rng))
+        for i in np.unique(shape.part).tolist()
     ]
     points = np.concatenate([np.zeros((0, 3)), *(points for _, points in drawn)])
     return dataclasses.replace(
-        found,
+        shape,
         triangles=np.repeat(points[:, None], 3, axis=1),
         part=np.repeat([i for i, _ in drawn], count).astype(np.int64),
     )
@@ -122,14 +122,14 @@ def _label_iou(
     tally: Tally,
     left_out: Counter[str],
     instance: Instance,
-    found: Reconstruction,
+    predicted: Reconstruction,
     protocol: Protocol,
 ) -> None:
-    if not len(found.triangles):
+    if not len(predicted.triangles):
         left_out["instances_label_iou"] += 1
         return
     points, true = surface_of(instance, protocol.points)
-    near = metrics.nearest_part(points, found.triangles, found.part, found.parts)
+    near = metrics.nearest_part(points, predicted.triangles, predicted.part, predicted.parts)
     tally.add_label_iou(near, true)
 
 
@@ -137,18 +137,18 @@ def _epe(
     tally: Tally,
     left_out: Counter[str],
     instances: tuple[Instance, Instance],
-    found: tuple[Reconstruction, Reconstruction],
+    predicted: tuple[Reconstruction, Reconstruction],
     protocol: Protocol,
 ) -> None:
     canonical, instance = instances
     points, true = surface_of(canonical, protocol.points)
     T_true = instance.part_motion
-    carrier = carriers(points, true, T_true, found[1], tally.labels)
+    carrier = carriers(points, true, T_true, predicted[1], tally.labels)
     kept = carrier != NO_LABEL
     left_out["parts_epe"] += len(np.unique(true)) - len(np.unique(true[kept]))
-    if not kept.any() or not len(found[1].triangles):
+    if not kept.any() or not len(predicted[1].triangles):
         left_out["instances_epe"] += 1
         return
-    for reading, motion in motions(*found).items():
+    for reading, motion in motions(*predicted).items():
         error = metrics.endpoint_error(points[kept], true[kept], T_true, motion[carrier[kept]])
         tally.add(**{f"epe_{reading}_all": error})

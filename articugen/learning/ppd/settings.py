@@ -40,7 +40,7 @@ class ModelSettings(Section):
             latents of different objects the same to a thousandth; or `he`, by He et al. 2015, and
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
         encoder: `points`, the paper's PointNet; or `both`, that and one which sees how full the
-            cells of a grid are, and so what lies beside what.
+            cells of a grid are, and so which ones lie side by side.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -222,7 +222,7 @@ class PPDRecipe(TrainRecipe):
 
     @property
     def variant(self) -> str:
-        """What Table 5 calls a model trained by it; "w/o A, B" where it has no such row."""
+        """Name in Table 5 of a model trained by it; "w/o A, B" where it has no such row."""
         losses, model = self.losses, self.model
         parts = {
             "L_vol": losses.vol,

@@ -51,7 +51,7 @@ class Quantizer(nn.Module):
 
 @dataclass(frozen=True)
 class ShapeCode:
-    """What the shape decoders know of a sample.
+    """Codes of a sample that the shape decoders take.
 
     Attributes:
         template: (B, P, C) the same for all samples, but for the gradient.
@@ -66,13 +66,13 @@ class ShapeCode:
     box: "PartBox | None" = None
 
     def of(self, parts: Tensor) -> "ShapeCode":
-        """That of some parts."""
+        """Return the code of some parts."""
         box = self.box and PartBox(self.box.middle[:, parts], self.box.size[:, parts])
         template, detail = self.template[:, parts], self.detail[:, parts]
         return ShapeCode(template, detail, self.quantizer, box)
 
     def towards(self, other: "ShapeCode", share: float) -> "ShapeCode":
-        """That of a shape between this one (0) and another (1)."""
+        """Return the code of a shape between this one (0) and another (1)."""
         template = torch.lerp(self.template, other.template, share)
         detail, box = torch.lerp(self.detail, other.detail, share), None
         if self.box and other.box:
@@ -159,11 +159,11 @@ class ShapeDecoder(nn.Module):
         if code.box:
             W, at = W * (PLAIN_SIZE / code.box.size)[:, :, None], at - code.box.middle
         moved, shift = W @ motion.rotation, (W @ at[..., None])[..., 0] + b
-        given = points, moved, shift, code.template, code.detail
+        inputs = points, moved, shift, code.template, code.detail
         if takes_kernels(points):
-            both = sine_parts(*given, *self._weights())
+            both = sine_parts(*inputs, *self._weights())
         else:
-            both = one_by_one(self._heads, *given)
+            both = one_by_one(self._heads, *inputs)
         common, instance = both.chunk(2, 1)
         product = instance * common.sigmoid() if self.common_shape else instance
         return PartLogits(common, instance, product)
@@ -171,8 +171,8 @@ class ShapeDecoder(nn.Module):
     def _weights(self) -> list[Tensor]:
         """Weights and biases of all layers but the first, with the factors of their sines."""
         layers = self.trunk_0, self.trunk_1, self.head_0, self.head_1
-        each = [*(layer.times(_FREQUENCY) for layer in layers), self.head_2.times(1.0)]
-        return [tensor for pair in each for tensor in pair]
+        scaled = [*(layer.times(_FREQUENCY) for layer in layers), self.head_2.times(1.0)]
+        return [tensor for pair in scaled for tensor in pair]
 
     def _heads(
         self, points: Tensor, moved: Tensor, shift: Tensor, template: Tensor, detail: Tensor

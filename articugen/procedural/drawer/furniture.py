@@ -62,12 +62,12 @@ def _divided(
         end = at + step * size
         last = k == len(sizes) - 1
         far = (front.z0 if rows else front.y1) if last else end + step * board / 2
-        own, covered = (
+        planks, covered = (
             (Rect(opening.y0, end, opening.y1, at), Rect(front.y0, far, front.y1, near))
             if rows
             else (Rect(at, opening.z0, end, opening.z1), Rect(near, front.z0, far, front.z1))
         )
-        more_cells, more_boards = _divided(child, own, covered, carcass)
+        more_cells, more_boards = _divided(child, planks, covered, carcass)
         cells, boards = cells + more_cells, boards + more_boards
         if not last:
             a, b = sorted((end, end + step * board))
@@ -119,7 +119,8 @@ def top(
     front: float,
     bow: float,
 ) -> list[Solid]:
-    """The slab on top, `slab` thick; it reaches at least `front` over the carcass's front edge."""
+    """Return the slab on top, `slab` thick; it reaches at least `front` over the carcass's front
+    edge."""
     width, _, height = layout.size
     side = float(rng.choice([0.0, 0.6, 1.2])) * carcass.board + layout.overhang
     reach = front + float(rng.choice([0.0, 0.4, 1.0])) * carcass.board

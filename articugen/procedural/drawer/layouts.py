@@ -48,8 +48,8 @@ class Layout:
 
 
 def draw_layout(rng: np.random.Generator, *, varied: bool = False) -> Layout:
-    """The layout of any of the pieces with three drawers; of any at all where it may be varied,
-    half of them tables."""
+    """Draw the layout of any of the pieces with three drawers; of any at all where it may be
+    varied, half of them tables."""
     pieces = _PIECES
     if varied:
         pieces = _TABLES if rng.uniform() < 0.5 else _PIECES[::2] + _WITH_FEWER + _DEEP

@@ -297,7 +297,7 @@ def _end_piece(s: Glasses, start: Floats, hinge: Floats) -> Solid:
 
 
 def _knuckles(s: Glasses, *, of_temple: bool) -> list[Solid]:
-    """The hinge's barrel around z: the front's knuckles above and below that of the temple."""
+    """Return hinge's barrel around z: the front's knuckles above and below that of the temple."""
     height = max(s.temple[1], 5.0 * MM)
     third = height / 3
     runs = [(-third / 2, third / 2)]

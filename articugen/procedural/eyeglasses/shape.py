@@ -53,7 +53,7 @@ class Glasses:
     upper: float = float(np.deg2rad(90.0))
 
     def placed(self, solid: Solid) -> Solid:
-        """A solid drawn about the right lens's middle (along_x applied), moved to its place."""
+        """Return a solid, drawn about the right lens's middle (along_x applied), at its place."""
         turn = rotation_about((0, 0, 1), -self.wrap)
         if self.tilt:
             turn = product(rotation_about((0, 1, 0), -self.tilt), turn)

@@ -42,7 +42,8 @@ def rounded_rectangle(
 
 
 def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Floats:
-    """A regular polygon inscribed in the circle; the first vertex lies at half a step from +x."""
+    """Return a regular polygon inscribed in the circle; the first vertex lies at half a step from
+    +x."""
     return ellipse(radius, radius, sides, center)
 
 
@@ -84,7 +85,7 @@ def _seen_from_origin(outline: Floats, angles: Floats) -> Floats:
 
 
 def convex_pieces(outline: Floats) -> list[list[int]]:
-    """A simple polygon cut into convex ones, each a counter-clockwise list of vertex indices.
+    """Cut a simple polygon into convex ones, each a counter-clockwise list of vertex indices.
 
     Ears are clipped, then neighbours merged while their union stays convex (Hertel and Mehlhorn
     1983): at most four times as many pieces as needed.

@@ -59,7 +59,8 @@ class Rect:
 
 
 def plate(rect: Rect, x0: float, x1: float, *, radius: float = 0.0, bevel: float = 0.0) -> Solid:
-    """A front plate between x0 and x1: corners rounded by `radius`, the outer edge bevelled."""
+    """Return a front plate between x0 and x1: corners rounded by `radius`, the outer edge
+    bevelled."""
     lower, upper = (rect.y0, rect.z0, x0), (rect.y1, rect.z1, x1)
     return along_x(block(lower, upper, radius=radius, bevel=(0.0, bevel), segments=4))
 

@@ -51,23 +51,24 @@ class _Cells:
         return _Cells(owners, planes, np.array(boxes).reshape(-1, 2, 3))
 
     def hiding(self, solid: Solid) -> NDArray[np.intp]:
-        """(F,) the cell of another solid that each face of `solid` lies wholly on or in, or -1."""
+        """Return (F,) the cell of another solid that each face of `solid` lies wholly on or in, or
+        -1."""
         corners = solid.vertices[solid.faces]
         outside = corners + _NOWHERE * _normals(corners)[:, None]
         lowest = outside.min(axis=(0, 1)) - _NOWHERE
         highest = outside.max(axis=(0, 1)) + _NOWHERE
         meets = np.all((self.boxes[:, 0] <= highest) & (self.boxes[:, 1] >= lowest), axis=1)
-        found = np.full(len(corners), -1)
+        hidden = np.full(len(corners), -1)
         for c in np.flatnonzero(meets):
             if self.owners[c] is solid:
                 continue
             planes, (low, high) = self.planes[c], self.boxes[c]
             near = np.all((outside >= low - 1e-7) & (outside <= high + 1e-7), axis=(1, 2))
-            near &= found < 0
+            near &= hidden < 0
             if near.any():
                 over = product(outside[near], planes[:, :3].T) - planes[:, 3]
-                found[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = c
-        return found
+                hidden[np.flatnonzero(near)[np.all(over <= 1e-7, axis=(1, 2))]] = c
+        return hidden
 
 
 def decorated(model: Model, object_id: str) -> Model:
@@ -92,7 +93,7 @@ def decorated(model: Model, object_id: str) -> Model:
 
 
 def _decal(triangle: Floats, size: float, lift: float) -> Solid:
-    """A plate on a triangle (3, 3): the parallelogram at its widest corner, `size` of it."""
+    """Return a plate on a triangle (3, 3): the parallelogram at its widest corner, `size` of it."""
     edges = norm(np.roll(triangle, -1, axis=0) - triangle)
     a, b, c = np.roll(triangle, -((int(np.argmax(edges)) + 2) % 3), axis=0)
     corners = np.array([a, (a + b) / 2, (b + c) / 2, (a + c) / 2])
@@ -132,7 +133,7 @@ def meshes(
 
 
 class _Rough:
-    """How rough one link is: drawn once, and again for each of its solids."""
+    """Roughness of one link: drawn once, and again for each of its solids."""
 
     def __init__(self, rng: np.random.Generator, cells: _Cells) -> None:
         size = np.ptp(cells.boxes, axis=(0, 1)).max() if len(cells.boxes) else 1.0
@@ -155,7 +156,7 @@ class _Rough:
         return [_cut(triangles, self.longest_edge) for triangles in drawn]
 
     def _sunk(self, triangle: Floats, cell: int) -> Floats:
-        """(6, 3, 3) walls that go on from a hidden face into the cell that hides it."""
+        """Return (6, 3, 3) walls that go on from a hidden face into the cell that hides it."""
         planes, down = self.cells.planes[cell], _normals(triangle[None])[0]
         foot = triangle.mean(axis=0) + 0.9 * (triangle - triangle.mean(axis=0))
         room = planes[:, 3] - product(foot, planes[:, :3].T)  # (3, m)
@@ -168,7 +169,7 @@ class _Rough:
 
 
 def _shrunken(solid: Solid, size: float) -> Floats:
-    """(n, 3, 3) the faces of each cell of a solid, drawn together towards the cell's middle."""
+    """Return (n, 3, 3) faces of each cell of a solid, drawn together towards the cell's middle."""
     triangles = []
     for cell in solid.cells:
         middle = solid.vertices[sorted({v for face in cell for v in face})].mean(axis=0)
@@ -206,6 +207,6 @@ def _lattice(k: int) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def _normals(triangles: Floats) -> Floats:
-    """(n, 3) unit normals of triangles (n, 3, 3)."""
+    """Return (n, 3) unit normals of triangles (n, 3, 3)."""
     normals = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals / norm(normals)[:, None]

@@ -230,7 +230,8 @@ def block(
     bevel: float | tuple[float, float] = 0.0,
     segments: int = 3,
 ) -> Solid:
-    """A box whose vertical edges are rounded and whose horizontal edges are cut at 45 degrees.
+    """Return a box whose vertical edges are rounded and whose horizontal edges are cut at 45
+    degrees.
 
     Args:
         radius: of the vertical edges.
@@ -327,7 +328,8 @@ def _side(vertices: Floats, a: list[int], b: list[int], i: int) -> list[Face]:
 
 
 def _planes(vertices: Floats, faces: list[Face]) -> Floats:
-    """(len(faces), 4) each face's outward unit normal, by Newell's method, and its offset."""
+    """Return (len(faces), 4) each face's outward unit normal, by Newell's method, and its
+    offset."""
     longest = max(map(len, faces))
     # Faces are made equally long by repeating their last vertex, which adds nothing to the sum.
     index = np.array([[*face, *[face[-1]] * (longest - len(face))] for face in faces])

@@ -149,8 +149,8 @@ def _urdf(model: Model, object_id: str, files: dict[str, list[str]], R: Floats, 
         ends = (j.lower, j.upper)
         joints.append(Joint(j.name, j.kind, j.parent, j.child, shift, (0, 0, 0), axis, *ends))
     links = {
-        name: [Visual(file, -turned(R.T, pivot[name]) if messy else np.zeros(3)) for file in own]
-        for name, own in files.items()
+        name: [Visual(file, -turned(R.T, pivot[name]) if messy else np.zeros(3)) for file in text]
+        for name, text in files.items()
     }
     if messy:  # As PartNet-Mobility has it: an empty base first, the body last.
         links = {ROOT_NAME: [], **links}

@@ -75,7 +75,8 @@ def _built(rng: np.random.Generator, shape: LaptopShape, upper: float) -> Model:
 
 
 def _chassis(s: LaptopShape) -> list[Solid]:
-    """The base's body up to the floor that the keys stand on; a wedge with a bevelled underside."""
+    """Return the base's body up to the floor that the keys stand on; a wedge with a bevelled
+    underside."""
     top = s.deck - s.well
     bottom = s.bottom_rear + s.base_bevel
     layers = [(s.base_bevel * 1.5, 0.0), (0.0, s.base_bevel)]
@@ -181,7 +182,8 @@ def _keyboard(rng: np.random.Generator, s: LaptopShape) -> Keyboard:
 
 
 def _trackpad(rng: np.random.Generator, s: LaptopShape, x: float, palm_rest: float) -> list[Solid]:
-    """A plate of slight relief, sometimes with buttons of its own; or, rarely, a trackball."""
+    """Return a plate of slight relief, sometimes with buttons of its own; or, rarely, a
+    trackball."""
     depth = palm_rest * rng.uniform(0.6, 0.88)
     width = min(depth * rng.uniform(1.25, 2.0), 0.5 * s.width)
     y = s.front + palm_rest / 2
@@ -259,7 +261,8 @@ def _lid(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
 
 
 def _camera(rng: np.random.Generator, s: LaptopShape, under: float, face: float) -> list[Solid]:
-    """A lens in the bezel, sometimes in a tab that juts out of the lid's free edge; bumpers."""
+    """Return a lens in the bezel, sometimes in a tab that juts out of the lid's free edge;
+    bumpers."""
     y = s.front + s.bezel[1] / 2
     proud = 0.3 * s.gap
     solids = [

@@ -161,7 +161,7 @@ def _racks(
 
 
 def _furnishings(rng: np.random.Generator, oven: Oven, cavity: Cavity) -> list[Solid]:
-    """A fan cover, a heating element."""
+    """Return a fan cover, a heating element."""
     opening, back, r = cavity.opening, cavity.back, 0.0065 * oven.extent
     y, z = opening.center
     solids = []

@@ -135,7 +135,8 @@ def _top(rng: np.random.Generator, washer: Washer) -> list[Solid]:
 
 
 def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
-    """A panel with a detergent tray, a dial, a display and buttons, in front or on a console."""
+    """Return a panel with a detergent tray, a dial, a display and buttons, in front or on a
+    console."""
     rect, e = washer.fascia, washer.wall
     if washer.console:
         high, foot = rng.uniform(0.1, 0.16), rng.uniform(0.09, 0.14)

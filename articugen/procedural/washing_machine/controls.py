@@ -66,7 +66,7 @@ def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:
     solids = [plate(rect, 0.0, front, radius=0.15 * rect.height, bevel=0.25 * e)]
     y, z = rect.center
     if rng.uniform() < 0.5:
-        made = handle("cup", 0.6 * rect.width, 2.0 * e, e)
+        grip = handle("cup", 0.6 * rect.width, 2.0 * e, e)
     else:
-        made = [plate(Rect(-0.3 * rect.width, -0.5 * e, 0.3 * rect.width, 0.5 * e), 0.0, 1.2 * e)]
-    return [*solids, *(s.shifted(front, y, z) for s in made)]
+        grip = [plate(Rect(-0.3 * rect.width, -0.5 * e, 0.3 * rect.width, 0.5 * e), 0.0, 1.2 * e)]
+    return [*solids, *(s.shifted(front, y, z) for s in grip)]

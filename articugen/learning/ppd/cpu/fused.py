@@ -16,29 +16,29 @@ from articugen.learning.ppd.cpu import sine_kernels
 
 
 def sine_parts(points: Tensor, *rest: Tensor) -> Tensor:
-    """(B, 2 P, n): F^{s,c} of all parts, then F^{s,z}, from all that `sine_kernels` names, where
-    `takes_kernels` says so of the points."""
+    """Return (B, 2 P, n): F^{s,c} of all parts, then F^{s,z}, from all that `sine_kernels` names,
+    where `takes_kernels` says so of the points."""
     return _SineParts.apply(points, *rest)  # pyright: ignore[reportReturnType]
 
 
 class _SineParts(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, points: Tensor, *rest: Tensor) -> Tensor:
-        given = [tensor.contiguous() for tensor in (points, *rest)]
-        ctx.save_for_backward(*given)
-        B, P, _ = given[2].shape
-        out = given[0].new_empty(B, 2 * P, points.shape[1])
-        _by_parts(sine_kernels.forward, P, _arrays(given), [out.numpy()])
+        inputs = [tensor.contiguous() for tensor in (points, *rest)]
+        ctx.save_for_backward(*inputs)
+        B, P, _ = inputs[2].shape
+        out = inputs[0].new_empty(B, 2 * P, points.shape[1])
+        _by_parts(sine_kernels.forward, P, _arrays(inputs), [out.numpy()])
         return out
 
     @staticmethod
     @once_differentiable
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx: Any, *given: Tensor
+        ctx: Any, *inputs: Tensor
     ) -> tuple[Tensor | None, ...]:
         saved = ctx.saved_tensors
         gradients = [torch.zeros_like(tensor) for tensor in saved[1:]]
-        to = [given[0].contiguous().numpy(), *_arrays(gradients)]
+        to = [inputs[0].contiguous().numpy(), *_arrays(gradients)]
         _by_parts(sine_kernels.backward, saved[2].shape[1], _arrays(saved), to)
         return None, *gradients
 
@@ -50,11 +50,11 @@ def _arrays(tensors: Any) -> Arrays:
     return [tensor.detach().numpy() for tensor in tensors]
 
 
-def _by_parts(kernel: Callable[..., None], parts: int, given: Arrays, to: Arrays) -> None:
+def _by_parts(kernel: Callable[..., None], parts: int, inputs: Arrays, to: Arrays) -> None:
     """Run a kernel, each of torch's threads for some of the parts; outcomes are the same."""
     threads = min(torch.get_num_threads(), parts)
     bounds = [parts * i // threads for i in range(threads + 1)]
-    calls = [partial(kernel, *given, first, last, *to) for first, last in pairwise(bounds)]
+    calls = [partial(kernel, *inputs, first, last, *to) for first, last in pairwise(bounds)]
     if threads == 1:
         calls[0]()
     else:

@@ -136,7 +136,7 @@ def _transposed(W):
 def forward(
     points, moved, shift, template, detail, W1, b1, W2, b2, W3, b3, W4, b4, W5, b5, first, last, out
 ):
-    """The logits out (B, 2 P, n) of the parts from `first` to before `last`."""
+    """Return the logits out (B, 2 P, n) of the parts from `first` to before `last`."""
     B, n, _ = points.shape
     P, c = shift.shape[1:]
     h, m = W1.shape[1], W2.shape[1]
@@ -176,10 +176,10 @@ def forward(
 @kernel
 def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
     points, moved, shift, template, detail, W1, b1, W2, b2, W3, b3, W4, b4, W5, b5, first, last,
-    given, g_moved, g_shift, g_template, g_detail,
+    inputs, g_moved, g_shift, g_template, g_detail,
     g_W1, g_b1, g_W2, g_b2, g_W3, g_b3, g_W4, g_b4, g_W5, g_b5,
 ):  # fmt: skip
-    """Add to each `g_...` what it gets from `given` (B, 2 P, n), the gradient of `forward`'s out,
+    """Add to each `g_...` what it gets from `inputs` (B, 2 P, n), the gradient of `forward`'s out,
     in the parts from `first` to before `last`."""
     B, n, _ = points.shape
     P, c = shift.shape[1:]
@@ -192,14 +192,14 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
     s3, c3 = np.zeros((h, BLOCK), np.float32), np.zeros((h, BLOCK), np.float32)
     s4, c4 = np.zeros((c, BLOCK), np.float32), np.zeros((c, BLOCK), np.float32)
     d, e = np.zeros((most, BLOCK), np.float32), np.zeros((most, BLOCK), np.float32)
-    g, own = np.zeros((1, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
+    g, alone = np.zeros((1, BLOCK), np.float32), np.zeros((m, BLOCK), np.float32)
     none, chosen = np.zeros(most, np.float32), np.zeros(n, np.int64)
     T1, T2, T3, T4 = _transposed(W1), _transposed(W2), _transposed(W3), _transposed(W4)
     for p in range(first, last):
         for b in range(B):
             total = 0
             for j in range(n):
-                if given[b, p, j] != _ZERO or given[b, p + P, j] != _ZERO:
+                if inputs[b, p, j] != _ZERO or inputs[b, p + P, j] != _ZERO:
                     chosen[total] = j
                     total += 1
             for start in range(0, total, BLOCK):
@@ -218,11 +218,11 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                 _sines_and_cosines(z, m, s2, c2)
                 for o in range(m):
                     for j in range(BLOCK):
-                        own[o, j] = _ZERO
+                        alone[o, j] = _ZERO
                 for head in range(2):
                     at = p + head * P
                     for j in range(BLOCK):
-                        g[0, j] = given[b, at, chosen[start + j]] if j < count else _ZERO
+                        g[0, j] = inputs[b, at, chosen[start + j]] if j < count else _ZERO
                     if head:
                         for o in range(m):
                             for j in range(BLOCK):
@@ -244,7 +244,7 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                     _affine(T3[at], none, d, e)
                     for o in range(m):
                         for j in range(BLOCK):
-                            own[o, j] += e[o, j]
+                            alone[o, j] += e[o, j]
                     if head:
                         _added(e, m, g_detail[b, p])
                         for o in range(m):
@@ -252,7 +252,7 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                                 s2[o, j] -= detail[b, p, o]
                 for o in range(m):
                     for j in range(BLOCK):
-                        d[o, j] = own[o, j] * c2[o, j]
+                        d[o, j] = alone[o, j] * c2[o, j]
                 _gathered(d, s1, m, h, g_W2[p], g_b2[p])
                 _affine(T2[p], none, d, e)
                 for o in range(h):

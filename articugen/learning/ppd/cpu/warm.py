@@ -14,7 +14,7 @@ def networks() -> None:
     layers = [(P, 12, c), (P, 6, 12), (2 * P, 12, 6), (2 * P, c, 12), (2 * P, 1, c)]
     shapes = [(1, 1, 3), (1, P, c, 3), (1, P, c), (1, P, c), (1, P, 6)]
     shapes += [shape for layer in layers for shape in (layer, layer[:2])]
-    given = [np.zeros(shape, np.float32) for shape in shapes]
+    inputs = [np.zeros(shape, np.float32) for shape in shapes]
     out = np.zeros((1, 2 * P, 1), np.float32)
-    sine_kernels.forward(*given, 0, P, out)
-    sine_kernels.backward(*given, 0, P, out, *given[1:])
+    sine_kernels.forward(*inputs, 0, P, out)
+    sine_kernels.backward(*inputs, 0, P, out, *inputs[1:])

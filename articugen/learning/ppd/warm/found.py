@@ -28,7 +28,7 @@ FORMAT = "articugen joints 6"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
-"""Of an object that are looked at, which takes seconds; the others have nothing to aim at."""
+"""Poses of an object that are searched, which takes seconds; the others have no targets."""
 
 LEAST_SCORE = 0.4
 """Of every joint in an object, else it says nothing."""
@@ -39,27 +39,27 @@ FEW_OBJECTS = 0.25
 _JOINT = ("kind", "axis", "pivot", "states", "score")
 
 Found = list[Discovery | None]
-"""What was found in each object; None where that cannot be told."""
+"""Discovery of each object; None where there is none."""
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def discovered(
     training: PackedSplit,
     beside: Path,
     directions: Directions,
-    tell: Tell = lambda _: None,
+    notify: Notify = lambda _: None,
 ) -> tuple[Found, list[NDArray[np.intp]]]:
-    """What moves in each object, and the instances that are its poses, at most `MOST_POSES`.
+    """Return what moves in each object, and the instances that are its poses, at most `MOST_POSES`.
 
-    It is kept in a file `beside` the run, named after what is looked at: several seeds ask for it.
-    Until all are looked at each object has a file of its own, so that a run that was killed goes on
+    It is kept in a file `beside` the run, named after what is searched: several seeds ask for it.
+    Until all are searched each object has a file of its own, so that a run that was killed goes on
     with the others.
 
     Args:
         training: with normals.
         directions: where joints of each kind point, as for `discover`.
-        tell: called with a sentence for each object.
+        notify: called with a sentence for each object.
 
     Raises:
         UnfitData: in no object anything is found.
@@ -67,28 +67,32 @@ def discovered(
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
-    clouds = [_Clouds.of(training, mine) for mine in rows]
+    clouds = [_Clouds.of(training, some) for some in rows]
     path = beside / f"joints-{_digest(clouds, directions)}.safetensors"
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
         return [_read(kept[str(i)], cloud) for i, cloud in enumerate(clouds)], rows
     looked = beside / f".{path.stem}"
     make_folder(looked)
-    found = _looked_for(clouds, directions, looked, tell)
-    if not any(found):
+    discoveries = _looked_for(clouds, directions, looked, notify)
+    if not any(discoveries):
         raise UnfitData(
-            f"{beside}: the poses of no training object tell what moves in it; make the data set "
+            f"{beside}: in no training object do the poses show what moves; make the data set "
             "with more states, or set warm_start.share=0"
         )
-    write_tensors(path, {"objects": {str(i): _plain(x) for i, x in enumerate(found)}}, FORMAT)
+    write_tensors(path, {"objects": {str(i): _plain(x) for i, x in enumerate(discoveries)}}, FORMAT)
     shutil.rmtree(looked, ignore_errors=True)
-    return found, rows
+    return discoveries, rows
 
 
-def kinds_of(found: Found) -> set[JointKind]:
+def kinds_of(discoveries: Found) -> set[JointKind]:
     """Return the kinds of joints that more than a few of the objects have."""
-    own = [{joint.kind for joint in each.joints} for each in found if each]
-    return {k for k in KINDS if sum(k in kinds for kinds in own) >= FEW_OBJECTS * len(own) > 0}
+    per_object = [{joint.kind for joint in one.joints} for one in discoveries if one]
+    return {
+        k
+        for k in KINDS
+        if sum(k in kinds for kinds in per_object) >= FEW_OBJECTS * len(per_object) > 0
+    }
 
 
 @dataclass(frozen=True)
@@ -120,63 +124,65 @@ class _Asked:
 
 
 def _looked_for(
-    clouds: Sequence[_Clouds], directions: Directions, folder: Path, tell: Tell
+    clouds: Sequence[_Clouds], directions: Directions, folder: Path, notify: Notify
 ) -> Found:
-    """What is found in each object; again where it is nothing, or a kind of joint that few others
-    have: a drawer that is shallow may as well turn a little."""
+    """Return what is found in each object; the search is repeated where it finds nothing, or a kind
+    of joint that few others have: a drawer that is shallow may as well turn a little."""
 
     def asked(i: int, kinds: tuple[JointKind, ...]) -> _Asked:
         path = folder / f"{i}-{'-'.join(map(str, kinds))}.safetensors"
         return _Asked(clouds[i], kinds, directions, path)
 
-    found: Found = []
+    discoveries: Found = []
     with Crew(_look, workers=os.cpu_count() or 1) as crew:
-        for each in crew.in_order([asked(i, KINDS) for i in range(len(clouds))]):
-            found.append(each)
-            tell(f"looking for joints in the training objects: {len(found)} of {len(clouds)}")
-        kinds = kinds_of(found)
+        for one in crew.in_order([asked(i, KINDS) for i in range(len(clouds))]):
+            discoveries.append(one)
+            notify(
+                f"looking for joints in the training objects: {len(discoveries)} of {len(clouds)}"
+            )
+        kinds = kinds_of(discoveries)
         again = [
             i
-            for i, each in enumerate(found)
-            if not each or {joint.kind for joint in each.joints} - kinds
+            for i, one in enumerate(discoveries)
+            if not one or {joint.kind for joint in one.joints} - kinds
         ]
         if 0 < len(kinds) < len(KINDS):
             looks = crew.in_order([asked(i, tuple(sorted(kinds))) for i in again])
-            for n, (i, each) in enumerate(zip(again, looks, strict=True), 1):
-                found[i] = each
-                tell(f"looking again where they are unlike the others: {n} of {len(again)}")
-    return found
+            for n, (i, one) in enumerate(zip(again, looks, strict=True), 1):
+                discoveries[i] = one
+                notify(f"looking again where they are unlike the others: {n} of {len(again)}")
+    return discoveries
 
 
-def _look(asked: _Asked) -> Discovery | None:
-    """What is found in an object, or was found there before this run was killed."""
+def _look(task: _Asked) -> Discovery | None:
+    """Return what is found in an object, or was found there before this run was killed."""
     with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
-        return _read(read_tensors(asked.path, FORMAT)["object"], asked.poses)
-    points, normals = list(asked.poses.unpacked()), list(asked.poses.normals / 127.0)
-    found = None
+        return _read(read_tensors(task.path, FORMAT)["object"], task.poses)
+    points, normals = list(task.poses.unpacked()), list(task.poses.normals / 127.0)
+    outcome = None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
-        found = discover(points, normals=normals, kinds=asked.kinds, directions=asked.directions)
-    if found and not (found.joints and min(j.score for j in found.joints) >= LEAST_SCORE):
-        found = None
-    write_tensors(asked.path, {"object": _plain(found)}, FORMAT)
-    return found
+        outcome = discover(points, normals=normals, kinds=task.kinds, directions=task.directions)
+    if outcome and not (outcome.joints and min(j.score for j in outcome.joints) >= LEAST_SCORE):
+        outcome = None
+    write_tensors(task.path, {"object": _plain(outcome)}, FORMAT)
+    return outcome
 
 
 def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
-    said = {str(kind): each.tolist() for kind, each in sorted(directions.items())}
-    hashed = hashlib.sha256(json.dumps(said).encode())
+    axes = {str(kind): some.tolist() for kind, some in sorted(directions.items())}
+    hashed = hashlib.sha256(json.dumps(axes).encode())
     for cloud in clouds:
         hashed.update(f"{cloud.points.shape}".encode())
         hashed.update(cloud.points.tobytes() + cloud.normals.tobytes())
     return hashed.hexdigest()[:16]
 
 
-def _plain(found: Discovery | None) -> dict[str, Any]:
-    """As `write_tensors` wants it."""
-    if found is None:
+def _plain(discovery: Discovery | None) -> dict[str, Any]:
+    """Return a discovery as `write_tensors` takes it."""
+    if discovery is None:
         return {}
-    columns = {n: np.array([getattr(joint, n) for joint in found.joints]) for n in _JOINT}
-    columns["part"] = found.part.astype(np.uint8)
+    columns = {n: np.array([getattr(joint, n) for joint in discovery.joints]) for n in _JOINT}
+    columns["part"] = discovery.part.astype(np.uint8)
     return {name: torch.from_numpy(column) for name, column in columns.items()}
 
 

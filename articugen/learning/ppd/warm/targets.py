@@ -46,9 +46,9 @@ degrees."""
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What the instances of a split are like. I instances, P parts, J = P - 1 candidates; C cells
-    on each axis. Where they may be mirrored there are 2 I rows, row I + i being what is asked of
-    instance i then: other candidates may take its joints. All is told of it as it is, though.
+    """Targets of the instances of a split. I instances, P parts, J = P - 1 candidates; C cells on
+    each axis. Where they may be mirrored there are 2 I rows, row I + i being what is asked of
+    instance i then: other candidates may take its joints. All of it is as it is, though.
 
     Attributes:
         known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
@@ -113,7 +113,7 @@ class Targets:
 
 def targets(
     split: PackedSplit,
-    found: Found,
+    discoveries: Found,
     rows: Sequence[NDArray[np.intp]],
     model: ModelSettings,
     *,
@@ -123,41 +123,43 @@ def targets(
 
     Args:
         split: with what is hidden.
-        found: what was found in each object, its poses in the order of `rows`.
+        discoveries: what was found in each object, its poses in the order of `rows`.
         rows: the instances of each object that were examined.
         mirrored: whether they may be mirrored.
     """
     R = split.band.resolution
     doubt = [torch.ones(R**3, dtype=torch.float16)]
     tables = [_unknown(len(split), model) for _ in range(1 + mirrored)]
-    for each, mine in zip(likely(found, model), rows, strict=True):
-        if not each:
+    for discovery, instances in zip(likely(discoveries, model), rows, strict=True):
+        if not discovery:
             continue
         placed: dict[tuple[float, ...], tuple[Floats, Ownership, int]] = {}
-        for table, seen in zip(tables, (each, in_mirror(each)), strict=False):
-            taken = [(-1, 1.0), *assigned(seen, model)]
+        for table, one in zip(tables, (discovery, in_mirror(discovery)), strict=False):
+            taken = [(-1, 1.0), *assigned(one, model)]
             senses = tuple(slot[1] if slot else 1.0 for slot in taken)
             if senses not in placed:
-                motion = _from_closed(each, senses)
-                own = _owned(split, mine, motion)
-                placed[senses] = motion, own, len(doubt)
-                doubt += [torch.from_numpy(d).flatten().half() for d in own.doubt]
-            _fill(table, mine, each, taken, *placed[senses])
-            points = unpacked(split.surface[torch.from_numpy(mine)].cpu()).double().flatten(0, 1)
+                motion = _from_closed(discovery, senses)
+                ownership = _owned(split, instances, motion)
+                placed[senses] = motion, ownership, len(doubt)
+                doubt += [torch.from_numpy(d).flatten().half() for d in ownership.doubt]
+            _fill(table, instances, discovery, taken, *placed[senses])
+            points = (
+                unpacked(split.surface[torch.from_numpy(instances)].cpu()).double().flatten(0, 1)
+            )
             low, high = points.amin(0).numpy(), points.amax(0).numpy()
-            table["centre"][mine], table["extent"][mine] = 0.5 * (low + high), high - low
+            table["centre"][instances], table["extent"][instances] = 0.5 * (low + high), high - low
     device = split.surface.device
-    told = {
+    values = {
         name: torch.from_numpy(np.concatenate([table[name] for table in tables])).to(device)
         for name in tables[0]
     }
-    grid = told.pop("grid")
-    told = {name: tensor.float() for name, tensor in told.items()}
-    told["still"] = told["known"][:, None] * told["there"].amax(0) * (1.0 - told["there"])
-    told["state"] = in_range(
-        told["state"] + rest_states(told["state"], len(model.revolute)), len(model.revolute)
+    grid = values.pop("grid")
+    values = {name: tensor.float() for name, tensor in values.items()}
+    values["still"] = values["known"][:, None] * values["there"].amax(0) * (1.0 - values["there"])
+    values["state"] = in_range(
+        values["state"] + rest_states(values["state"], len(model.revolute)), len(model.revolute)
     )
-    return Targets(**told, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
+    return Targets(**values, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
 
 
 def in_range(states: Tensor, revolute: int) -> Tensor:
@@ -190,37 +192,37 @@ def _unknown(count: int, model: ModelSettings) -> dict[str, NDArray[Any]]:
 def _fill(
     table: dict[str, NDArray[Any]],
     rows: NDArray[np.intp],
-    found: Discovery,
+    discovery: Discovery,
     taken: list[tuple[int, float] | None],
     motion: Floats,
-    own: Ownership,
+    ownership: Ownership,
     first: int,
 ) -> None:
-    """Tell of an object's instances.
+    """Fill in the targets of an object's instances.
 
     Args:
         taken: as `assigned` gives it, with the fixed part.
         motion: (K, P, 4, 4) of each part from its rest frame.
-        own: whose its material is; `first`: the place of part 0's cells in `doubt`.
+        ownership: whose its material is; `first`: the place of part 0's cells in `doubt`.
     """
     T = invert_rigid(motion)
-    table["known"][rows], table["alike"][rows] = 1.0, _alike(found)
+    table["known"][rows], table["alike"][rows] = 1.0, _alike(discovery)
     for part, candidate in enumerate(taken):
         if candidate is None:
             continue
         slot, sense = candidate
         at = rows, slot + 1
         table["rotation"][at], table["offset"][at] = T[:, part, :3, :3], T[:, part, :3, 3]
-        table["owns"][at], table["grid"][at] = own.owns[part], first + part
-        table["middle"][at], table["size"][at] = own.middle[part], own.size[part]
+        table["owns"][at], table["grid"][at] = ownership.owns[part], first + part
+        table["middle"][at], table["size"][at] = ownership.middle[part], ownership.size[part]
         if part:
-            joint, at = found.joints[part - 1], (rows, slot)
+            joint, at = discovery.joints[part - 1], (rows, slot)
             table["there"][at], table["axis"][at] = 1.0, sense * joint.axis
             opened = sense * joint.states
             table["state"][at], table["pivot"][at] = opened - opened.min(), joint.pivot
 
 
-def in_mirror(found: Discovery) -> Discovery:
+def in_mirror(discovery: Discovery) -> Discovery:
     """Return an object's joints as a mirror shows them that swaps left and right: what turns one
     way turns the other way then."""
     side = np.ones(3)
@@ -230,33 +232,33 @@ def in_mirror(found: Discovery) -> Discovery:
         sense = -1.0 if joint.kind == JointKind.REVOLUTE else 1.0
         return replace(joint, axis=sense * side * joint.axis, pivot=side * joint.pivot)
 
-    return replace(found, joints=tuple(seen(joint) for joint in found.joints))
+    return replace(discovery, joints=tuple(seen(joint) for joint in discovery.joints))
 
 
-def is_one_sided(found: Found, model: ModelSettings) -> bool:
+def is_one_sided(discoveries: Found, model: ModelSettings) -> bool:
     """Return whether mirrored objects are unlike all that there are: the joints of some candidate
     lean to one side. Of glasses the same temple always folds over the other one, which their open
     pose does not show; with mirrored ones among them a model can only guess."""
     axes: tuple[dict[int, list[Floats]], ...] = {}, {}
-    known = [each for each in likely(found, model) if each]
-    for each in known:
-        for own, seen in zip(axes, (each, in_mirror(each)), strict=True):
-            for joint, taken in zip(seen.joints, assigned(seen, model), strict=True):
+    known = [discovery for discovery in likely(discoveries, model) if discovery]
+    for discovery in known:
+        for side, one in zip(axes, (discovery, in_mirror(discovery)), strict=True):
+            for joint, taken in zip(one.joints, assigned(one, model), strict=True):
                 if taken:
-                    own.setdefault(taken[0], []).append(taken[1] * joint.axis)
+                    side.setdefault(taken[0], []).append(taken[1] * joint.axis)
     means = [
-        [np.mean(own[slot], axis=0) for own in axes]
+        [np.mean(side[slot], axis=0) for side in axes]
         for slot in axes[0].keys() & axes[1].keys()
-        if min(len(own[slot]) for own in axes) >= FEW_OBJECTS * len(known)
+        if min(len(side[slot]) for side in axes) >= FEW_OBJECTS * len(known)
     ]
     return any(a @ b < _ONE_SIDED * norm(a) * norm(b) for a, b in means)
 
 
-def _alike(found: Discovery) -> Floats:
+def _alike(discovery: Discovery) -> Floats:
     """Return (3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they
     point along the third, else all three."""
     across = np.zeros((3, 3), bool)
-    for joint in found.joints:
+    for joint in discovery.joints:
         if joint.kind == JointKind.REVOLUTE:
             about = np.abs(joint.axis) > _UPRIGHT
             across |= ~(about[:, None] | about)
@@ -264,12 +266,12 @@ def _alike(found: Discovery) -> Floats:
     return together / together.sum(1, keepdims=True)
 
 
-def _from_closed(found: Discovery, senses: tuple[float, ...]) -> Floats:
+def _from_closed(discovery: Discovery, senses: tuple[float, ...]) -> Floats:
     """Return (K, P, 4, 4) the motion of each part from the pose in which it is closed, which is
     that with the least state in the `senses` of the parts, to all poses."""
-    motion = np.stack([found.motion(k) for k in range(len(found.joints[0].states))])
+    motion = np.stack([discovery.motion(k) for k in range(len(discovery.joints[0].states))])
     for part, sense in enumerate(senses[1:], 1):
-        closed = int((sense * found.joints[part - 1].states).argmin())
+        closed = int((sense * discovery.joints[part - 1].states).argmin())
         motion[:, part] = motion[:, part] @ invert_rigid(motion[closed, part])
     return motion
 
@@ -283,41 +285,47 @@ def _owned(split: PackedSplit, rows: NDArray[np.intp], motion: NDArray[np.float6
 
 
 def _cells(points: Tensor, R: int) -> Tensor:
-    """The flat cells of points (..., 3) in a grid of R^3; others are given to its nearest cells."""
+    """Return the flat cells of points (..., 3) in a grid of R^3; others are given to its nearest
+    cells."""
     at = ((points + 0.5) * R).floor().long().clamp(0, R - 1)
     return (at[..., 0] * R + at[..., 1]) * R + at[..., 2]
 
 
-def likely(found: Found, model: ModelSettings) -> Found:
-    """What was found, without the objects that are unlike the others or the candidates: with a
-    kind of joint that few objects have, or a joint that leans too far from every candidate."""
-    kinds, directions = kinds_of(found), directions_of(model)
+def likely(discoveries: Found, model: ModelSettings) -> Found:
+    """Return what was found without the objects that are unlike the others or the candidates: with
+    a kind of joint that few objects have, or a joint that leans too far from every candidate."""
+    kinds, directions = kinds_of(discoveries), directions_of(model)
 
-    def is_likely(each: Discovery) -> bool:
-        along = [np.abs(directions[j.kind] @ j.axis).max() for j in each.joints]
-        return min(along) > LEAN and {joint.kind for joint in each.joints} <= kinds
+    def is_likely(discovery: Discovery) -> bool:
+        along = [np.abs(directions[j.kind] @ j.axis).max() for j in discovery.joints]
+        return min(along) > LEAN and {joint.kind for joint in discovery.joints} <= kinds
 
-    return [each if each and is_likely(each) else None for each in found]
+    return [one if one and is_likely(one) else None for one in discoveries]
 
 
-def assigned(found: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
-    """The candidate that each joint of an object goes to, and 1 or -1, the sense of its axis there.
+def assigned(discovery: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
+    """Return the candidate that each joint of an object goes to, and 1 or -1, the sense of its axis
+    there.
 
     Candidates point as joints do, if there are such. Those that point alike are handed out as one
     reads, row by row, so that they mean the same in objects with as many parts.
     A joint for which no candidate of its kind is left gets None.
     """
-    taken: list[tuple[int, float] | None] = [None] * len(found.joints)
+    taken: list[tuple[int, float] | None] = [None] * len(discovery.joints)
     for kind, first in ((JointKind.REVOLUTE, 0), (JointKind.PRISMATIC, len(model.revolute))):
         directions = directions_of(model)[kind]
-        own = [j for j, joint in enumerate(found.joints) if joint.kind == kind][: len(directions)]
-        if own:
-            own = [own[i] for i in _as_read(np.array([found.joints[j].pivot for j in own]))]
-            along = np.array([found.joints[j].axis for j in own]) @ directions.T
+        indices = [j for j, joint in enumerate(discovery.joints) if joint.kind == kind][
+            : len(directions)
+        ]
+        if indices:
+            indices = [
+                indices[i] for i in _as_read(np.array([discovery.joints[j].pivot for j in indices]))
+            ]
+            along = np.array([discovery.joints[j].axis for j in indices]) @ directions.T
             cost = (4.0 * (1.0 - np.abs(along)) + _FLIPPED * (along < 0)).round(1)
-            options = permutations(range(len(directions)), len(own))
+            options = permutations(range(len(directions)), len(indices))
             best = min(options, key=lambda slots: sum(cost[i, s] for i, s in enumerate(slots)))
-            for i, (j, slot) in enumerate(zip(own, best, strict=True)):
+            for i, (j, slot) in enumerate(zip(indices, best, strict=True)):
                 taken[j] = first + slot, 1.0 if along[i, slot] >= 0 else -1.0
     return taken
 

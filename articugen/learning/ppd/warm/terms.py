@@ -79,10 +79,10 @@ def labels_entropy(part_logits: Tensor, owner: Tensor, known: Tensor) -> Tensor:
         owner: (B, n) which part each belongs to.
         known: as for `parts_entropy`.
     """
-    mine = owner[:, None] == torch.arange(part_logits.shape[1], device=owner.device)[:, None]
-    own = part_logits.detach().masked_fill(~mine, -torch.inf).amax(1)
-    others = part_logits.masked_fill(mine, -torch.inf).logsumexp(1)
-    return POINTS_OF_THE_PAPER * (softplus(others - own).mean(1) * known).mean()
+    of_part = owner[:, None] == torch.arange(part_logits.shape[1], device=owner.device)[:, None]
+    greatest = part_logits.detach().masked_fill(~of_part, -torch.inf).amax(1)
+    others = part_logits.masked_fill(of_part, -torch.inf).logsumexp(1)
+    return POINTS_OF_THE_PAPER * (softplus(others - greatest).mean(1) * known).mean()
 
 
 def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: float) -> Tensor:
@@ -95,10 +95,10 @@ def parts_entropy(part_logits: Tensor, owner: Tensor, known: Tensor, occupied: f
         occupied: how much more a part's own points weigh than others: else the field of a part that
             is thin is below 0 everywhere. The same for all parts, so that fields can be compared.
     """
-    own = torch.arange(part_logits.shape[1], device=owner.device)[:, None] == owner[:, None]
+    of_part = torch.arange(part_logits.shape[1], device=owner.device)[:, None] == owner[:, None]
     entropy = binary_cross_entropy_with_logits(
         part_logits,
-        own.to(part_logits.dtype),
+        of_part.to(part_logits.dtype),
         pos_weight=part_logits.new_full((1,), occupied),
         reduction="none",
     )

@@ -2,7 +2,7 @@
 
 The paper does not do this. A few dozen objects are all alike in ways that others are not: real
 laptops are wider than the bundled ones and stand elsewhere in the cube. What is asked of a sample,
-whose each point is among it, is told of the object as it is, and varied with it.
+whose each point is among it, is computed for the object as it is, and varied with it.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class Variation:
         return varied, freed
 
     def targets(self, aim: Targets, revolute: int) -> Targets:
-        """What is asked of the varied samples; not for `Targets.owner`, which knows objects as they
-        are. Axes of parts that turn go the other way in a mirror."""
+        """Return the targets of the varied samples; not for `Targets.owner`, which knows objects as
+        they are. Axes of parts that turn go the other way in a mirror."""
         turns = torch.arange(aim.state.shape[1], device=aim.state.device) < revolute
         side = torch.where(turns, self.scale.prod(1).sign()[:, None], 1.0)
         axis = aim.axis * self.scale[:, None]
