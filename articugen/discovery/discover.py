@@ -123,12 +123,12 @@ def discover(
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
             nothing moves; normals are not one for each point.
     """
-    what = change(poses, normals)
-    search = _Found(what, kinds, directions or {})
+    diff = change(poses, normals)
+    search = _Found(diff, kinds, directions or {})
     search.look_for_joints()
     joints = search.settled()
     outward = None if normals is None else np.asarray(normals[0], np.float64)
-    return _told(what, joints, np.asarray(poses[0], np.float64), outward)
+    return _told(diff, joints, np.asarray(poses[0], np.float64), outward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,13 +162,13 @@ def _alike(one: _Grown, other: _Grown) -> bool:
 class _Found:
     """The search for joints, and what it has found so far."""
 
-    def __init__(self, what: Change, kinds: Collection[JointKind], directions: Directions) -> None:
-        self.change, self.kinds = what, kinds
+    def __init__(self, diff: Change, kinds: Collection[JointKind], directions: Directions) -> None:
+        self.change, self.kinds = diff, kinds
         self.directions = {kind: _unlike(axes) for kind, axes in directions.items()}
-        self.search = Search(what)
-        self.movers = some(np.flatnonzero(what.movers), _MOVERS)
-        self.part = what.start[self.movers]
-        self.gone = what.gone[:, self.movers]
+        self.search = Search(diff)
+        self.movers = some(np.flatnonzero(diff.movers), _MOVERS)
+        self.part = diff.start[self.movers]
+        self.gone = diff.gone[:, self.movers]
         self.left = np.ones(len(self.movers), bool)
         self.joints: list[_Grown] = []
 
@@ -234,8 +234,7 @@ class _Found:
         return patches
 
     def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
-        """Return the candidates that patches vote for, each fitted to its patch; the best of them
-        that are not alike grow."""
+        """Return the candidates that patches vote for, fitted and grown; the best unlike ones."""
         reach = 2.0 * self.change.near
         seeds = [
             fitted(joint, self.part[some(patch, 60)], self.change.targets, reach, 3)
@@ -263,12 +262,8 @@ class _Found:
         return [joint for _, joint in voted]
 
     def _grow(self, seed: _Grown) -> _Grown:
-        near, targets, joint, follow = (
-            self.change.near,
-            self.change.targets,
-            seed.joint,
-            seed.follow,
-        )
+        near, targets = self.change.near, self.change.targets
+        joint, follow = seed.joint, seed.follow
         for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
             core = some(np.flatnonzero(follow & self.left), _CORE)
             if len(core) < 12:
@@ -323,8 +318,8 @@ class _Found:
         return _Grown(joint, right, wrong, follow)
 
     def settled(self) -> list[Candidate]:
-        """Return the joints, each fitted to the points that agree with it best; those that nobody
-        needs are dropped."""
+        """Return the joints, each fitted to the points that agree with it best, but for needless
+        ones."""
         joints = self._needed([grown.joint for grown in self.joints])
         for _ in range(2):
             shares = _agreement(self.change, joints, self.part).mean(1)
@@ -376,45 +371,45 @@ class _Found:
         return joints
 
 
-def _agreement(what: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
+def _agreement(diff: Change, joints: list[Candidate], surface: Surface) -> NDArray[np.bool_]:
     """Return (1 + J, S, n) whether points agree with what stays, and with each joint, in each
     pose."""
-    return np.array([what.poses.met(surface, M, what.near) for M in _moved(what, joints)])
+    return np.array([diff.poses.met(surface, M, diff.near) for M in _moved(diff, joints)])
 
 
-def _moved(what: Change, joints: list[Candidate]) -> list[Floats]:
+def _moved(diff: Change, joints: list[Candidate]) -> list[Floats]:
     """Return (S, 3, 4) what stays and what each joint moves in the searched poses."""
-    return [still(len(what.chosen)), *(motions(joint) for joint in joints)]
+    return [still(len(diff.chosen)), *(motions(joint) for joint in joints)]
 
 
 def _told(
-    what: Change, joints: list[Candidate], points: Floats, outward: Floats | None
+    diff: Change, joints: list[Candidate], points: Floats, outward: Floats | None
 ) -> Discovery:
     """Labels, states of all poses and scores, in the frame of the clouds."""
-    cloud = np.ascontiguousarray(what.frame.to_unit(points))
-    surface = Surface.bare(cloud, outward).shaped(what.first, what.near)
-    part = _labels(what, joints, surface)
+    cloud = np.ascontiguousarray(diff.frame.to_unit(points))
+    surface = Surface.bare(cloud, outward).shaped(diff.first, diff.near)
+    part = _labels(diff, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
-    others = Cells.of(what.clouds[1:], what.near)
+    others = Cells.of(diff.clouds[1:], diff.near)
     parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
-    complete = [_joint(what, others, joint, of_part) for joint, of_part in parts]
+    complete = [_joint(diff, others, joint, of_part) for joint, of_part in parts]
     number = np.zeros(len(joints) + 1, np.int64)
     number[1 + order] = 1 + np.arange(len(joints))
     return Discovery(tuple(complete), points, number[part])
 
 
-def _labels(what: Change, joints: list[Candidate], surface: Surface) -> Ints:
+def _labels(diff: Change, joints: list[Candidate], surface: Surface) -> Ints:
     """Return (n,) of each point what leaves it nearest to the poses; where that is a tie, as most
     of its neighbours that are sure."""
     if not joints:
         return np.zeros(len(surface), np.int64)
-    far = [what.poses.distances(surface, M, what.near) for M in _moved(what, joints)]
-    cost = np.minimum(far, what.near).mean(1) / what.near
+    far = [diff.poses.distances(surface, M, diff.near) for M in _moved(diff, joints)]
+    cost = np.minimum(far, diff.near).mean(1) / diff.near
     cost[1:] += _STAYS
     best = cost.argmin(0)
     ranked = np.sort(cost, axis=0)
     sure = ranked[1] - ranked[0] >= _SURE
-    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, what.near)
+    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, diff.near)
     return np.where(sure, best, about)
 
 
@@ -436,20 +431,20 @@ def _as_neighbours(
     return np.where(votes.sum(0) > 0, votes.argmax(0), label)
 
 
-def _joint(what: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
+def _joint(diff: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
     """Return the joint in the clouds' frame, with the states of all `others` than pose 0."""
     core = part[some(np.arange(len(part)), 250)]
-    states = np.concatenate([[0.0], states_of(joint, core, others, what.near)])
+    states = np.concatenate([[0.0], states_of(joint, core, others, diff.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
-    gone = ~what.poses.met(core, still(len(what.chosen)), what.near)
-    new = what.targets.met(core, motions(joint), what.near)
+    gone = ~diff.poses.met(core, still(len(diff.chosen)), diff.near)
+    new = diff.targets.met(core, motions(joint), diff.near)
     pivot = middle = part.points.mean(0)
     if joint.turns:
         pivot = joint.pivot + ((middle - joint.pivot) @ joint.axis) * joint.axis
     return FoundJoint(
         kind=JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC,
         axis=sign * joint.axis,
-        pivot=what.frame.to_world(pivot),
-        states=sign * states * (1.0 if joint.turns else what.frame.scale),
+        pivot=diff.frame.to_world(pivot),
+        states=sign * states * (1.0 if joint.turns else diff.frame.scale),
         score=float((gone & new).sum() / max(gone.sum(), 1)),
     )
