@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -35,6 +36,28 @@ collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NE
 def pytest_report_header() -> list[str]:
     """Tell what is left out."""
     return [f"without torch, not run: {', '.join(collect_ignore)}"] if collect_ignore else []
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--but", metavar="REPORT",
+        help="leave out what passed by this JUnit report of a run with fewer libraries",
+    )  # fmt: skip
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what passed elsewhere, but for tests that do more where there are more libraries."""
+    if not (report := config.getoption("--but")):
+        return
+    cases = ElementTree.parse(report).iter("testcase")
+    passed = {(case.get("classname"), case.get("name")) for case in cases if not len(case)}
+
+    def is_known(item: pytest.Item) -> bool:
+        module = item.nodeid.partition("::")[0].removesuffix(".py").replace("/", ".")
+        return (module, item.name) in passed and not item.get_closest_marker("extras")
+
+    config.hook.pytest_deselected(items=[item for item in items if is_known(item)])
+    items[:] = [item for item in items if not is_known(item)]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -13,9 +13,12 @@ from articugen.core.seeding import generator
 from articugen.instance import make
 from tests import golden
 
-pytestmark = pytest.mark.skipif(
-    platform.machine() != "x86_64", reason="other processors may fuse, see docs/conventions.md"
-)
+pytestmark = [
+    pytest.mark.extras,
+    pytest.mark.skipif(
+        platform.machine() != "x86_64", reason="other processors may fuse, see docs/conventions.md"
+    ),
+]
 
 
 @pytest.fixture(scope="module")
