@@ -46,7 +46,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what passed elsewhere, but for tests that do more where there are more libraries."""
+    """Leave out what passed elsewhere, but for tests that do more with more libraries."""
     if not (report := config.getoption("--but")):
         return
     cases = ElementTree.parse(report).iter("testcase")
