@@ -29,6 +29,7 @@ _HOME = {
     "generate": "pipeline.door",
     "load": "instance.maker",
     "open": "inspection.notebook",
+    "stream": "pipeline.stream",
     "train": "learning.commands",
     "verify": "",
 }

@@ -8,6 +8,7 @@ from articugen.inspection.notebook import DataSet, Row, open
 from articugen.instance.maker import Made, Maker, Model, load
 from articugen.learning.commands import evaluate, train
 from articugen.pipeline.door import generate
+from articugen.pipeline.stream import stream
 from articugen.sources.fetch.door import fetch
 from articugen.verify.check import check as verify
 
@@ -27,6 +28,7 @@ __all__ = [
     "generate",
     "load",
     "open",
+    "stream",
     "train",
     "verify",
 ]

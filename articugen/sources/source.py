@@ -286,7 +286,7 @@ class Source:
         path, own = self.folder, self._own_category(category) if self.yaml else category
         if maker := self.maker:
             number = maker.index_of(own, object_id)
-            return None if number is None else self._one_made(maker, own, number, "")
+            return None if number is None else self.made(own, number)
         if not self.yaml and (not path.is_dir() or readers.detect(path)):
             return None
         wanted = self.file.words(own)
@@ -311,32 +311,39 @@ class Source:
         self, maker: Maker, category: str, objects: int | None, ids: Collection[str]
     ) -> list[ObjectRef]:
         """Return the first objects, as many as the source has or as are asked for, and those named
-        by `ids`.
-
-        Object i is always of the same split, however many are asked for.
-        """
-        own = self.file.categories[category]
-        assert isinstance(own.train, int)
-        assert isinstance(own.test, int)
-        total = own.train + own.test
+        by `ids`."""
+        train, test = self._sizes(category)
         numbers = {i for name in ids if (i := maker.index_of(category, name)) is not None}
-        left = split_sizes(objects or total, own.train, own.test)
+        left = split_sizes(objects or train + test, train, test)
         refs: list[ObjectRef] = []
         i = 0
         while max(left.values()) > 0 or i <= max(numbers, default=-1):
-            split = "test" if (i + 1) * own.test // total > i * own.test // total else "train"
-            if take(left, split) or i in numbers:
-                refs.append(self._one_made(maker, category, i, split))
+            ref = self.made(category, i)
+            if take(left, ref.split) or i in numbers:
+                refs.append(ref)
             i += 1
         return refs
 
-    def _one_made(self, maker: Maker, category: str, index: int, split: str) -> ObjectRef:
-        name = maker.object_id(category, index)
+    def made(self, category: str, index: int) -> ObjectRef:
+        """Return object number `index` of a source that makes them, of which each number has a
+        split, however many are asked for."""
+        assert self.maker is not None
+        train, test = self._sizes(category)
+        both = train + test
+        split = "test" if (index + 1) * test // both > index * test // both else "train"
+        name = self.maker.object_id(category, index)
         return ObjectRef(
             self.name, category, name, split, self.folder / category / name,
             reader=self.file.reader, is_made=True, messy=self.file.messy, varied=self.file.varied,
             licence=self.licence, settings=self._settings(category, "", ""),
         )  # fmt: skip
+
+    def _sizes(self, category: str) -> tuple[int, int]:
+        """Return how many objects of a category that are made are for training and for testing."""
+        own = self.file.categories[category]
+        assert isinstance(own.train, int)
+        assert isinstance(own.test, int)
+        return own.train, own.test
 
 
 def open_source(source: str | Path) -> Source:

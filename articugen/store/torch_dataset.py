@@ -1,16 +1,17 @@
-"""A data set for torch's DataLoader: the only file of the store that imports torch."""
+"""Data sets and streams for torch's DataLoader: the only file of the store that imports torch."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.errors import MissingExtra
+from articugen.store.rows import in_units, is_scaled
 
 try:
     import torch
-    from torch.utils.data import Dataset
+    from torch.utils.data import Dataset, IterableDataset, get_worker_info
 except ImportError:
     raise MissingExtra("torch", "ppd") from None
 
@@ -41,6 +42,40 @@ class TorchDataSet(Dataset):
     def __repr__(self) -> str:
         points = "all" if self.points is None else self.points
         return f"TorchDataSet({len(self):,} instances, {', '.join(self.fields)}, {points} points)"
+
+
+class TorchStream(IterableDataset):
+    """Instances without end as dicts of tensors; see `Stream.torch`. Each iteration begins where
+    `rows` was, or where `load_state_dict` says, as torchdata's StatefulDataLoader has it."""
+
+    def __init__(self, rows: Any, fields: tuple[str, ...]) -> None:
+        self.rows, self.fields = rows, fields
+        self._here, self._state = rows, None
+
+    def __iter__(self) -> Iterator[Sample]:
+        worker = get_worker_info()
+        self._here = (
+            self.rows.part(worker.id, worker.num_workers) if worker else self.rows.part(0, 1)
+        )
+        if self._state is not None:
+            self._here.load_state_dict(self._state)
+        return map(self._sample, self._here)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._here.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        self._state = state
+
+    def _sample(self, row: Any) -> Sample:
+        return {name: _of_row(name, row.stored(name)) for name in self.fields}
+
+
+def _of_row(name: str, stored: Any) -> Any:
+    """Torch's like of a field of a row; of text, the text."""
+    if isinstance(stored, str | tuple):
+        return stored
+    return _tensor(in_units(name, stored) if is_scaled(name) else np.array(stored))
 
 
 def _tensor(array: NDArray[Any]) -> Any:

@@ -167,7 +167,7 @@ def _written(file: h5py.File, instances: Iterable[Instance]) -> Iterator[tuple[s
     shapes: dict[str, tuple[int, ...]] = {}
     count = 0
     for row in instances:
-        arrays = _stored_arrays(row)
+        arrays = stored_arrays(row)
         if not datasets:
             shapes = {name: array.shape for name, array in arrays.items()}
             datasets = {name: _new_dataset(file, name, array) for name, array in arrays.items()}
@@ -185,8 +185,8 @@ def _written(file: h5py.File, instances: Iterable[Instance]) -> Iterator[tuple[s
         raise ValueError(f"instances that do not make a shard: {fault}")
 
 
-def _stored_arrays(row: Instance) -> dict[str, NDArray[Any]]:
-    """Each field of an instance as it is stored, in the order of the names."""
+def stored_arrays(row: Instance) -> dict[str, NDArray[Any]]:
+    """Return each field of an instance as it is stored, in the order of the names."""
     arrays: dict[str, NDArray[Any]] = {}
     for name, value in sorted(row.arrays().items()):
         field = _field(name)

@@ -1,0 +1,193 @@
+"""Data without a disk: the instances that `generate` would store, one after the other, for ever."""
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+from articugen.core.errors import ArticugenError, InvalidArgument, printable
+from articugen.core.yaml_files import nearest
+from articugen.instance.again import resolved
+from articugen.instance.make import make_instance
+from articugen.instance.preparing import Prepared, prepare
+from articugen.pipeline.door import jobs_of
+from articugen.pipeline.job import Job, Share
+from articugen.pipeline.making import instances_each, verdict_on
+from articugen.pipeline.options import Folder, Options, RecipeLike
+from articugen.pipeline.plan import objects_of
+from articugen.sources.refs import ObjectRef
+from articugen.sources.source import Source, open_source
+from articugen.store.dataset import DEFAULT_FIELDS
+from articugen.store.rows import Row
+from articugen.store.writer import stored_arrays
+
+if TYPE_CHECKING:
+    from articugen.store.torch_dataset import TorchStream
+
+MOST_REJECTED = 100
+"""Objects, one after the other, of which nothing can be made: the next ones will not do either."""
+
+
+def stream(
+    category: str,
+    recipe: RecipeLike = "light",
+    source: Folder = "procedural_varied",
+    seed: int = 0,
+    *,
+    states: int | None = None,
+    split: str = "",
+    share: tuple[int, int] | None = None,
+    start: int = 0,
+) -> "Stream":
+    """Return instances without end, equal to those that `generate` stores of the same objects.
+
+    A source that makes its objects makes new ones for ever. Objects of a folder come again and
+    again in other states: in round k in those of a `generate` with seed + k.
+
+    Args:
+        category, recipe, source, seed, states: as of `generate`; limits of time and memory do not
+            count.
+        split: "train" or "test", for objects of that split alone.
+        share: (i, n) for process i of n, each of which makes other objects; by default as torchrun
+            says in RANK and WORLD_SIZE.
+        start: how many instances are passed over, by each worker of a loader.
+
+    Raises:
+        ArticugenError: no such source, category, recipe, split or share.
+    """
+    options = Options(category, source, recipe=recipe, states=states, seed=seed, jobs=1)
+    job, *others = jobs_of(options)
+    if others:
+        raise InvalidArgument(f"{category!r} means {1 + len(others)} categories; stream one")
+    if share is None:
+        share = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    if not (0 <= share[0] < share[1] and start >= 0):
+        raise InvalidArgument(f"share {share}, start {start}; give (i, n) with i < n, start >= 0")
+    opened = open_source(job.source)
+    recipe = job.recipe.for_source(clips_to_limits=opened.clips)
+    job = replace(job, recipe=recipe, share=Share(*share))
+    refs = opened.objects(job.category) if opened.is_made else objects_of(job, opened)
+    splits = sorted({ref.split for ref in refs})
+    if split and split not in splits:
+        raise InvalidArgument(f"no object is of split {split!r}; there are: {', '.join(splits)}")
+    return Stream(job, opened, refs, split, start)
+
+
+@dataclass(eq=False)
+class Stream(Iterator[Row]):
+    """Rows without end: all states of an object, then those of the next; made by `stream`.
+
+    Attributes:
+        job: what is made, and which share of it.
+        refs: the objects of a round.
+        position: how many instances of the share are passed, those of rejected objects counted.
+    """
+
+    job: Job
+    source: Source
+    refs: Sequence[ObjectRef]
+    split: str
+    position: int
+    _current: tuple[int, str, Prepared] | None = field(default=None, init=False, repr=False)
+    _rejected: int = field(default=0, init=False, repr=False)
+
+    def __next__(self) -> Row:
+        """Return the next row; an object of which nothing can be made is passed over, with a
+        warning.
+
+        Raises:
+            ArticugenError: that were `MOST_REJECTED` in a row.
+            MachineFault, MemoryError: it says nothing about the object.
+        """
+        recipe = self.job.recipe
+        while True:
+            number, state = divmod(self.position, instances_each(recipe))
+            try:
+                if self._current is None or self._current[0] != number:
+                    ref, seed = self._object(number)
+                    prepared = prepare(resolved(ref, recipe), recipe, seed)
+                    self._current = number, ref.split, prepared
+                _, split, prepared = self._current
+                arrays = stored_arrays(make_instance(prepared, state))
+            except Exception as error:  # an object must not take the others down with it
+                self._pass_over(number, error)
+                continue
+            self.position, self._rejected = self.position + 1, 0
+            return Row(partial(_read, arrays), arrays, split=split, category=self.job.category)
+
+    def _pass_over(self, number: int, error: Exception) -> None:
+        ref, recipe = self._object(number)[0], self.job.recipe
+        why = printable(f"{ref.object_id}: {verdict_on(error, ref, recipe) or repr(error)}")
+        self.position = (number + 1) * instances_each(recipe)
+        self._rejected += 1
+        if self._rejected >= MOST_REJECTED:
+            raise ArticugenError(f"{MOST_REJECTED} objects were rejected in a row; the last, {why}")
+        warnings.warn(f"{why}; the stream goes on without it", stacklevel=3)
+
+    @cached_property
+    def _places(self) -> list[int]:
+        """The objects of a round that are of the split."""
+        return [i for i, ref in enumerate(self.refs) if self.split in ("", ref.split)]
+
+    def _object(self, number: int) -> tuple[ObjectRef, int]:
+        """Return object `number` of the share, and the seed of its round."""
+        share = self.job.share or Share(0, 1)
+        rounds, n = divmod(share.number + number * share.of, len(self._places))
+        if self.source.is_made:
+            place = rounds * len(self.refs) + self._places[n]
+            return self.source.made(self.job.category, place), self.job.seed
+        return self.refs[self._places[n]], self.job.seed + rounds
+
+    def part(self, number: int, of: int) -> "Stream":
+        """Return the share of worker `number` of `of`, each of which passes over the same number of
+        instances; any of them may run in a process of its own."""
+        share = self.job.share or Share(0, 1)
+        inner = Share(share.number * of + number, share.of * of)
+        return replace(self, job=replace(self.job, share=inner))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return where it is, for `load_state_dict`, and what decides what comes there."""
+        job = self.job
+        recipe = job.recipe.for_one_object().sha256()
+        about = {"source": job.source, "category": job.category, "recipe": recipe}
+        where = {"seed": job.seed, "split": self.split, "share": str(job.share)}
+        return {"position": self.position, **about, **where}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where another of the same kind was.
+
+        Raises:
+            InvalidArgument: that makes something else.
+        """
+        for key, value in self.state_dict().items():
+            if key != "position" and state.get(key) != value:
+                raise InvalidArgument(
+                    f"the state is of a stream with {key} {state.get(key)!r}, not {value!r}; open "
+                    "it as it was, or begin without a state"
+                )
+        self.position = int(state["position"])
+
+    def torch(self, *, fields: Sequence[str] = DEFAULT_FIELDS) -> "TorchStream":
+        """Return a torch IterableDataset of dicts of tensors, as `DataSet.torch` has them, of all
+        points. A loader's workers make different objects.
+
+        Raises:
+            MissingExtra: torch is not installed.
+            InvalidArgument: no such field.
+        """
+        from articugen.store.torch_dataset import TorchStream  # noqa: PLC0415 - torch is optional
+
+        there = sorted(self.job.recipe.fields())
+        for name in fields:
+            if name not in there:
+                raise InvalidArgument(
+                    f"the recipe makes no field {name!r}{nearest(name, there)}; it makes: "
+                    f"{', '.join(there)}"
+                )
+        return TorchStream(self.part(0, 1), tuple(fields))
+
+
+def _read(arrays: Mapping[str, Any], names: Sequence[str]) -> list[Any]:
+    return [arrays[name] for name in names]
