@@ -15,7 +15,7 @@ from real_models import REAL_MODELS, needs_real_models
 
 from articugen.core.errors import InvalidSource, NotOfCategory, RejectedInstance
 from articugen.core.geometry import apply, rotation_about, rotation_from_rpy, transform
-from articugen.core.recipe import Articulation
+from articugen.core.recipe import Articulation, Recipe
 from articugen.core.records import (
     ArticulatedObject,
     Joint,
@@ -147,7 +147,7 @@ def test_paper_protocol():
     """Hinges from 0 to 135 degrees, sliders up to their limit."""
     moving = only(tree(joint("box", "prismatic", limits=(-0.1, 0.5))))
     assert (moving.lower, moving.upper) == (0.0, 0.5)
-    moving = only(tree(joint("lid", limits=(0.0, 1.0))), clip=False)
+    moving = only(tree(joint("lid", limits=(0.0, 1.0))), Articulation(clip_to_limits=False))
     assert (moving.lower, moving.upper) == (0.0, pytest.approx(math.radians(135)))
     np.testing.assert_array_equal(moving.axis, Z)
 
@@ -204,9 +204,13 @@ def test_clipping_keeps_to_the_limits():
     assert only(obj, Articulation(clip_to_limits=True)).upper == 1.0
     beyond = resolve(obj, Articulation(clip_to_limits=False))
     assert any("beyond the limits" in note for note in beyond.notes)
-    assert only(obj, clip=True).upper == 1.0, "the source's choice"
-    assert only(obj, clip=False).upper == pytest.approx(math.radians(135))
-    assert only(obj, Articulation(clip_to_limits=True), clip=False).upper == 1.0, "the recipe's"
+    assert only(obj, Articulation(clip_to_limits="source")).upper == 1.0
+    free = Recipe(name="free").for_source(clips_to_limits=False).articulation
+    assert only(obj, free).upper == pytest.approx(math.radians(135)), "the source's choice"
+    kept = Recipe(name="kept", articulation=Articulation(clip_to_limits=True))
+    assert only(obj, kept.for_source(clips_to_limits=False).articulation).upper == 1.0, (
+        "the recipe's"
+    )
     wide = Articulation(revolute_degrees=(-90.0, 90.0), clip_to_limits=True)
     assert (only(obj, wide).lower, only(obj, wide).upper) == (-0.5, 1.0)
 

@@ -43,7 +43,6 @@ def resolve(
     *,
     canonical: Canonical = "zero",
     movable: Sequence[str] = (),
-    clip: bool = True,
 ) -> ResolvedObject:
     """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
 
@@ -60,13 +59,11 @@ def resolve(
 
     Args:
         obj: as a source gives it, with the limits of its URDF.
-        settings: the recipe's choice.
+        settings: the recipe's choice; its `clip_to_limits` "source" counts as true.
         canonical: the source's choice of canonical pose; a joint without the limit asked for has
             its canonical pose at 0. `settings.canonical` other than "source" overrides it.
         movable: the source's choice of joints, as fnmatch patterns on the joint's name or on its
             child link's semantic; empty means all. `settings.movable`, if any, overrides it.
-        clip: the source's choice whether to stay inside the limits of the URDF;
-            `settings.clip_to_limits` other than "source" overrides it.
 
     Returns:
         The object with `notes` extended by what was decided against the letter of its URDF.
@@ -78,8 +75,6 @@ def resolve(
     """
     if settings.canonical == "source":
         settings = settings.model_copy(update={"canonical": canonical})
-    if settings.clip_to_limits == "source":
-        settings = settings.model_copy(update={"clip_to_limits": clip})
     patterns = tuple(settings.movable) or tuple(movable)
     remarks: dict[str, list[str]] = defaultdict(list)
     plans: dict[str, _Plan] = {}
@@ -216,7 +211,7 @@ def _plan_driver(
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
     if not joint.lower - _TIE <= value <= joint.upper + _TIE:
         remarks.append("canonical pose outside the limits of the URDF")
-    sign, lower, upper = _sampled_range(obj, joint, value, settings)
+    sign, lower, upper = _sampled_range(joint, value, settings)
     if lower == upper == 0.0:
         return _Plan(value, remarks=(*remarks, "locked, its range is empty"))
     if sign < 0.0:
@@ -228,7 +223,7 @@ def _plan_driver(
 
 
 def _sampled_range(
-    obj: ArticulatedObject, joint: Joint, value: float, settings: Articulation
+    joint: Joint, value: float, settings: Articulation
 ) -> tuple[float, float, float]:
     """(sign, lower, upper): the axis is turned around for sign -1; the range is about `value`."""
     below, above = value - joint.lower, joint.upper - value

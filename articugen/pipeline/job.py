@@ -38,7 +38,7 @@ class Share:
         number, of = (int(match[1]), int(match[2])) if match else (0, 0)
         if not 0 <= number < of <= 1_000_000:
             raise InvalidArgument(
-                f"--shard {text}: give i/n, counted from 0: 0/8 to 7/8 are all of eight"
+                f"no share {text!r}; give i/n, counted from 0: 0/8 to 7/8 are all of eight"
             )
         return Share(number, of)
 

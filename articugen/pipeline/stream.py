@@ -38,7 +38,7 @@ def stream(
     *,
     states: int | None = None,
     split: str = "",
-    share: tuple[int, int] | None = None,
+    share: str = "",
     start: int = 0,
 ) -> "Stream":
     """Return instances without end, equal to those that `generate` stores of the same objects.
@@ -50,7 +50,7 @@ def stream(
         category, recipe, source, seed, states: as of `generate`; limits of time and memory do not
             count.
         split: "train" or "test", for objects of that split alone.
-        share: (i, n) for process i of n, each of which makes other objects; by default as torchrun
+        share: i/n for process i of n, each of which makes other objects; by default as torchrun
             says in RANK and WORLD_SIZE.
         start: how many instances are passed over, by each worker of a loader.
 
@@ -61,13 +61,12 @@ def stream(
     job, *others = jobs_of(options)
     if others:
         raise InvalidArgument(f"{category!r} means {1 + len(others)} categories; stream one")
-    if share is None:
-        share = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    if not (0 <= share[0] < share[1] and start >= 0):
-        raise InvalidArgument(f"share {share}, start {start}; give (i, n) with i < n, start >= 0")
+    if start < 0:
+        raise InvalidArgument(f"start is {start}; give 0 or more")
+    ranks = f"{os.environ.get('RANK', '0')}/{os.environ.get('WORLD_SIZE', '1')}"
     opened = open_source(job.source)
     recipe = job.recipe.for_source(clips_to_limits=opened.clips)
-    job = replace(job, recipe=recipe, share=Share(*share))
+    job = replace(job, recipe=recipe, share=Share.of_text(share or ranks))
     refs = opened.objects(job.category) if opened.is_made else objects_of(job, opened)
     splits = sorted({ref.split for ref in refs})
     if split and split not in splits:
@@ -149,24 +148,15 @@ class Stream(Iterator[Row]):
 
     def state_dict(self) -> dict[str, Any]:
         """Return where it is, for `load_state_dict`, and what decides what comes there."""
-        job = self.job
-        recipe = job.recipe.for_one_object().sha256()
-        about = {"source": job.source, "category": job.category, "recipe": recipe}
-        where = {"seed": job.seed, "split": self.split, "share": str(job.share)}
-        return {"position": self.position, **about, **where}
+        job, recipe = self.job, self.job.recipe.for_one_object().sha256()[:12]
+        what = f"{self.split or 'every'} {job.category} of {job.source}, recipe {recipe}"
+        return {"position": self.position, "of": f"{what}, seed {job.seed}, share {job.share}"}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where another of the same kind was.
-
-        Raises:
-            InvalidArgument: that makes something else.
-        """
-        for key, value in self.state_dict().items():
-            if key != "position" and state.get(key) != value:
-                raise InvalidArgument(
-                    f"the state is of a stream with {key} {state.get(key)!r}, not {value!r}; open "
-                    "it as it was, or begin without a state"
-                )
+        """Go on where such a stream was; InvalidArgument where that makes something else."""
+        here = self.state_dict()["of"]
+        if state.get("of") != here:
+            raise InvalidArgument(f"the state is of {state.get('of')}, not of {here}; open that")
         self.position = int(state["position"])
 
     def torch(self, *, fields: Sequence[str] = DEFAULT_FIELDS) -> "TorchStream":

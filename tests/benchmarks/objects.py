@@ -62,8 +62,7 @@ def _faults(source: str, category: str, name: str, folder: Path) -> Iterator[Fau
     truth = read_truth((folder / TRUTH_NAME).read_bytes())
     obj = resolve(
         obj,
-        load_recipe(None, category, source).articulation,
-        clip=of.clips,
+        load_recipe(None, category, source).for_source(clips_to_limits=of.clips).articulation,
         movable=of.file.categories[category].movable,
     )
     upper = np.array([joint.upper for joint in obj.moving_joints])

@@ -48,7 +48,7 @@ def main() -> None:
 
 def _measured(category: str, source: str, instances: int, k: int, of: int) -> list[Quarter]:
     """Return what one process measures, in each quarter of its share."""
-    rows = ag.stream(category, source=source, share=(k, of))
+    rows = ag.stream(category, source=source, share=f"{k}/{of}")
     each = rows.job.recipe.articulation.states + 1
     _run(rows, each)
     return [_run(rows, instances // QUARTERS // of) for _ in range(QUARTERS)]
