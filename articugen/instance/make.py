@@ -184,10 +184,10 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
     cameras = random_pinhole_views if wanted.partial_cameras == "around" else plain_pinhole_views
     views = cameras(wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng)
     maps = backend_named(p.recipe.views.backend).render_parts(mesh, views, closed=p.closed)
-    clouds = sampling.partial_clouds(maps, mesh.part_of_face, wanted, rng=rng)
+    points, part = sampling.partial_clouds(maps, mesh.part_of_face, wanted, rng=rng)
     return {
-        "partial_points": quantize(clouds.points),
-        "partial_part": clouds.part,
+        "partial_points": quantize(points),
+        "partial_part": part,
         "partial_T_camera_world": views.T_camera_world,
         "partial_intrinsics": views.intrinsics,
     }

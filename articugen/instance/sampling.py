@@ -36,14 +36,6 @@ class SurfacePoints:
     face: Indices
 
 
-@dataclass(frozen=True, eq=False)
-class PartialClouds:
-    """Per view: `points` (C, m, 3) unit frame, `part` (C, m)."""
-
-    points: Floats
-    part: Bytes
-
-
 def solid_counts(
     inside: Bools, touched: Bools, is_inside: Callable[[Floats], Bools], *, rng: np.random.Generator
 ) -> tuple[Ints, int]:
@@ -128,8 +120,9 @@ def surface_points(
 
 def partial_clouds(
     maps: DepthMaps, part_of_face: Bytes, wanted: Sampling, *, rng: np.random.Generator
-) -> PartialClouds:
-    """Return `partial_points` of each view's depth map, without repeats where it has that many.
+) -> tuple[Floats, Bytes]:
+    """Return `partial_points` of each view's depth map, without repeats where it has that many:
+    (C, m, 3) unit frame, and their parts (C, m).
 
     Args:
         maps: pinhole depth maps that say which face is seen.
@@ -159,7 +152,7 @@ def partial_clouds(
         y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
         clouds[k] = apply(invert_rigid(views.T_camera_world[k]), np.stack([x, y, z], axis=1))
         parts[k] = part_of_face[face[i, j]]
-    return PartialClouds(np.clip(clouds, -0.5, 0.5), parts)
+    return np.clip(clouds, -0.5, 0.5), parts
 
 
 def as_kinect(

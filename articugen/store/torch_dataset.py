@@ -28,8 +28,6 @@ class TorchDataSet(Dataset):
         return len(self.data)
 
     def __getitem__(self, index: int) -> Sample:
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"no instance {index}, there are {len(self)}")
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
