@@ -52,9 +52,7 @@ class TorchStream(IterableDataset):
 
     def __iter__(self) -> Iterator[Sample]:
         worker = get_worker_info()
-        self._here = (
-            self.rows.part(worker.id, worker.num_workers) if worker else self.rows.part(0, 1)
-        )
+        self._here = self.rows.part(*((worker.id, worker.num_workers) if worker else (0, 1)))
         if self._state is not None:
             self._here.load_state_dict(self._state)
         return map(self._sample, self._here)
