@@ -15,6 +15,7 @@ HOMES = {
     "generate": "articugen.pipeline.door",
     "load": "articugen.instance.maker",
     "open": "articugen.store.dataset",
+    "stream": "articugen.pipeline.stream",
     "train": "articugen.learning.commands",
     "verify": "articugen.verify.check",
 }
@@ -26,10 +27,11 @@ _ABOUT = """Docstrings as they are in the code. [From Python](../python.md) says
 go together; what is stored, with shapes, units and frames, is in [the files](../format.md)."""
 
 _ON = {
-    "data": ("Data sets and rows", ("open", "DataSet", "Row"), (
+    "data": ("Data sets and rows", ("open", "stream", "DataSet", "Row"), (
         "store.rows.RowJoint", "store.rows.RowPart", "store.rows.RowSurface",
         "store.rows.RowQueries", "store.rows.RowGrids", "store.rows.RowPartial",
-        "store.rows.RowImages", "store.torch_dataset.TorchDataSet",
+        "store.rows.RowImages", "store.torch_dataset.TorchDataSet", "pipeline.stream.Stream",
+        "store.torch_dataset.TorchStream",
     )),
     "models": ("Models at any joint state", ("load", "Model", "Maker", "Made"), (
         "instance.maker.MadeMesh", "core.records.Joint",
