@@ -70,6 +70,15 @@ def test_the_recipe_light_has_points_and_labels_alone() -> None:
     assert row.stored("partial_points").size == 0
 
 
+@pytest.mark.parametrize("category", ["drawer", "oven", "eyeglasses"])
+def test_finer_views_than_those_of_light_label_varied_objects_alike(category: str) -> None:
+    model = ag.load(SOURCE, f"{category}_0001", category=category)
+    finer = {"extends": "light", "views": {"resolution": 256}}
+    one, other = (ag.Maker(model, recipe)[2] for recipe in ("light", finer))
+    points = np.concatenate([one.near.points, one.uniform.points])
+    np.testing.assert_array_equal(one.labels(points), other.labels(points))
+
+
 def test_objects_are_new_for_ever_each_in_its_split() -> None:
     source = tiny().source
     number = len(tiny().refs)
