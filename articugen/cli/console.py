@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, 
 from rich.table import Table
 from rich.text import Text
 
-from articugen.cli.saying import REJECTED, command, stdout
+from articugen.cli.saying import REJECTED, command, say, stdout
 from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
 from articugen.core.tables import counted, duration, facts, size
@@ -224,5 +224,5 @@ def tell_share(outcomes: Sequence[Outcome], job: Job) -> int:
         )
     in_folder = isinstance(job.out, Path)
     then = command("merge", job.out) if in_folder else "the command without --shard"
-    stdout.print(f"when all shards are made: {then}", soft_wrap=True, markup=False)
+    say(f"when all shards are made: {then}")
     return 0

@@ -5,14 +5,12 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-from rich.markup import escape
-
-from articugen.cli.app import app
-from articugen.cli.options import listed
-from articugen.cli.saying import said, stderr, stdout
+from articugen.cli.options import argument, offered
+from articugen.cli.saying import say, stderr, stdout
+from articugen.core.tables import counted, quiet_table
+from articugen.pipeline.options import option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,73 +20,59 @@ if TYPE_CHECKING:
     from articugen.discovery.objects import ObjectGroups, ObjectJoints
 
 
-@app.command(
-    epilog="Examples:\n\narticugen discover data/laptop\n\n"
-    "articugen discover closed.ply ajar.ply open.ply --json joints.json\n\n"
-    "articugen discover data/laptop --groups"
+@offered(
+    "articugen discover data/laptop",
+    "articugen discover closed.ply ajar.ply open.ply --json joints.json",
+    "articugen discover data/laptop --groups",
 )
 def discover(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(
-            help="A data set's folder or a shard; or two or more poses of one object in one frame: "
-            "clouds (.ply, .npy, .npz, .xyz) or occupancy grids (.npy)."
-        ),
-    ],
-    poses: Annotated[
-        int | None,
-        typer.Option(min=2, help="So many poses of each object of a data set.", show_default="all"),
-    ] = None,
-    joints: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Kinds that the objects may have, where that is known: revolute or prismatic.",
-            show_default="both",
-        ),
-    ] = None,
-    groups: Annotated[
-        bool,
-        typer.Option(
-            "--groups",
-            help="Find which instances of a data set show one object instead, and compare that "
-            "with the objects it names.",
-        ),
-    ] = False,
-    output: Annotated[
-        Path | None, typer.Option("--json", help="Write the joints, or the groups, there.")
-    ] = None,
+    paths: Sequence[Path] = argument(
+        "A data set's folder or a shard; or two or more poses of one object in one frame: "
+        "clouds (.ply, .npy, .npz, .xyz) or occupancy grids (.npy)."
+    ),
+    poses: int | None = option(
+        None, "So many poses of each object of a data set.", min=2, show_default="all"
+    ),
+    joints: Sequence[str] = option(
+        (),
+        "Kinds that the objects may have, where that is known: revolute or prismatic.",
+        show_default="both",
+    ),
+    groups: bool = option(
+        False,
+        "Find which instances of a data set show one object instead, and compare that "
+        "with the objects it names.",
+    ),
+    output: Path | None = option(None, "Write the joints, or the groups, there.", "--json"),
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
-    with said("interrupted"):
-        from articugen.core.files import check_place, write_atomically
-        from articugen.discovery import objects as found_joints
+    from articugen.core.files import check_place, write_atomically
+    from articugen.discovery import objects as found_joints
 
-        found_joints.check_poses(paths, groups=groups)
-        if output is not None:
-            check_place(output)
-        if groups:
-            with stderr.status("grouping ..."):
-                objects = found_joints.group_all(paths[0])
-            stdout.print(_agreement(objects), soft_wrap=True)
-            told: object = objects.as_json()
-        elif len(paths) > 1:
-            with stderr.status("searching ..."):
-                found = found_joints.discover(paths, joints=listed(joints))
-            _print("", found)
-            told = {"joints": found_joints.as_json(found)}
-        else:
-            objects = _of_data_set(paths[0], poses, listed(joints))
-            told = [
-                {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
-                for o in objects
-            ]
-        if output is not None:
-            write_atomically(output, json.dumps(told, indent=1).encode())
+    found_joints.check_poses(paths, groups=groups)
+    if output is not None:
+        check_place(output)
+    if groups:
+        with stderr.status("grouping ..."):
+            objects = found_joints.group_all(paths[0])
+        say(_agreement(objects))
+        told: object = objects.as_json()
+    elif len(paths) > 1:
+        with stderr.status("searching ..."):
+            found = found_joints.discover(paths, joints=joints)
+        _print("", found)
+        told = {"joints": found_joints.as_json(found)}
+    else:
+        objects = _of_data_set(paths[0], poses, joints)
+        told = [
+            {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
+            for o in objects
+        ]
+    if output is not None:
+        write_atomically(output, json.dumps(told, indent=1).encode())
 
 
 def _agreement(objects: "ObjectGroups") -> str:
-    from articugen.core.tables import counted
-
     rand, precision, recall = objects.agreement
     return (
         f"{counted(len(objects.keys), 'instance')} in {counted(objects.count, 'group')}; the data "
@@ -108,7 +92,7 @@ def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[
 
     def tell(found: "ObjectJoints", _: int) -> None:
         if found.found is None:
-            stdout.print(f"[bold]{escape(found.object_id)}[/]  {escape(found.why)}", soft_wrap=True)
+            say((found.object_id, "bold"), f"  {found.why}")
         else:
             _print(found.object_id, found.found)
 
@@ -118,24 +102,23 @@ def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[
     ):
         one = data.of(object_id)
         objects += found_joints.discover_all(one, poses=poses, joints=joints, on_object=tell)
-    stdout.print(_summary(objects), soft_wrap=True)
+    say(_summary(objects))
     return objects
 
 
 def _print(name: str, found: "Discovery") -> None:
     if name:
-        stdout.print(f"[bold]{escape(name)}[/]")
+        say((name, "bold"))
     if found.joints:
         stdout.print(_table(found))
     else:
-        stdout.print("something moves, but no single joint explains it", soft_wrap=True)
+        say("something moves, but no single joint explains it")
 
 
 def _table(found: "Discovery") -> "Table":
     import numpy as np
 
     from articugen.core.records import JointKind
-    from articugen.core.tables import quiet_table
 
     def vector(v: "Floats", digits: int) -> str:
         return " ".join(f"{x:.{digits}f}" for x in np.round(v, digits) + 0.0)
@@ -155,7 +138,6 @@ def _table(found: "Discovery") -> "Table":
 
 
 def _summary(objects: "Sequence[ObjectJoints]") -> str:
-    from articugen.core.tables import counted
     from articugen.discovery.objects import AXIS, PIVOT, mean_error, share
 
     turned, slid = mean_error(objects, "turned"), mean_error(objects, "slid")

@@ -5,13 +5,11 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from rich.markup import escape
 
-from articugen.cli.app import app
-from articugen.cli.options import with_options_of
+from articugen.cli.options import argument, offered
 from articugen.cli.saying import (
     FAILED,
     KEPT,
@@ -20,90 +18,81 @@ from articugen.cli.saying import (
     command,
     counting_bar,
     said,
+    say,
     stderr,
     stdout,
     whole_command,
 )
-from articugen.pipeline.options import Options
+from articugen.pipeline.options import Options, option
 
 if TYPE_CHECKING:
     from articugen.pipeline.job import Job
 
 
-@app.command(
-    epilog="Examples:\n\n"
-    "articugen generate --category laptop --recipe quick\n\n"
-    "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data\n\n"
-    "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'\n\n"
-    "articugen generate -c table -s path/to/partnet_mobility --joints prismatic\n\n"
-    "articugen generate -c oven -r quick --set views.count=50 --set 'sampling.grids=[16, 32]'\n\n"
-    "articugen generate --category cabinet --source path/to/urdfs --dry-run\n\n"
+@offered(
+    "articugen generate --category laptop --recipe quick",
+    "articugen generate -c laptop,oven --objects 6 --states 10 --out /tmp/data",
+    "articugen generate -c storage_furniture -s partnet_mobility --movable 'drawer*'",
+    "articugen generate -c table -s path/to/partnet_mobility --joints prismatic",
+    "articugen generate -c oven -r quick --set views.count=50 --set 'sampling.grids=[16, 32]'",
+    "articugen generate --category cabinet --source path/to/urdfs --dry-run",
     "On many machines that share a folder, the same line on each, here as a SLURM array "
-    "(docs/scale.md has other launchers):\n\n"
+    "(docs/scale.md has other launchers):",
     "sbatch --array=0-99 --cpus-per-task=4 --wrap 'articugen generate -c laptop -o /shared/data "
-    "--shard $SLURM_ARRAY_TASK_ID/100'\n\n"
-    "articugen merge /shared/data/laptop\n\n"
+    "--shard $SLURM_ARRAY_TASK_ID/100'",
+    "articugen merge /shared/data/laptop",
     "Into an object store, on as many machines as there are: "
-    "articugen generate -c laptop -o s3://bucket/data\n\n"
-    "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786\n\n"
+    "articugen generate -c laptop -o s3://bucket/data",
+    "On a Dask cluster: articugen generate -c laptop -o /shared/data --scheduler tcp://host:8786",
     "On SLURM, submitted, followed and merged by one command: articugen generate -c laptop "
     "-o /shared/data --scheduler 'slurm://partition?tasks=100&cpus=4&time=60'",
+    interrupted=KEPT,
 )
-@with_options_of(Options)
 def generate(
     options: Options,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be made and why; make nothing.")
-    ] = False,
-    shard: Annotated[
-        str | None,
-        typer.Option(
-            metavar="I/N",
-            help="Make only every N-th object, from the I-th on, counted from 0: one of N "
-            "processes that fill one folder, on any machines. N may change between runs; when all "
-            "have ended, `articugen merge` writes the manifest.",
-            show_default="all objects",
-        ),
-    ] = None,
-) -> None:
+    dry_run: bool = option(False, "Print what would be made and why; make nothing."),
+    shard: str | None = option(
+        None,
+        "Make only every N-th object, from the I-th on, counted from 0: one of N "
+        "processes that fill one folder, on any machines. N may change between runs; when all "
+        "have ended, `articugen merge` writes the manifest.",
+        metavar="I/N",
+        show_default="all objects",
+    ),
+) -> int:
     """Make a data set, or what is missing of it: run it again to resume."""
-    with said(KEPT):
-        from articugen.pipeline.door import jobs_of
-        from articugen.pipeline.job import Share
+    from articugen.pipeline.door import jobs_of
+    from articugen.pipeline.job import Share
 
-        todo = jobs_of(options, None if shard is None else Share.of_text(shard))
+    todo = jobs_of(options, None if shard is None else Share.of_text(shard))
     make = _made if len(todo) == 1 else _made_each
-    status = make(*todo, dry_run=dry_run, replace=options.replace)
-    if status:
-        raise typer.Exit(status)
+    return make(*todo, dry_run=dry_run, replace=options.replace)
 
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
     """Make one data set, or a share of it, and tell of it; the exit status."""
-    with said(KEPT):
-        from articugen.cli import console
-        from articugen.pipeline.run import started
+    from articugen.cli import console
+    from articugen.pipeline.run import started
 
-        whole = whole_command(sys.argv)
-        executor = job.executor.of(job, whole)
-        with started(job, command=whole) as run:
-            if job.share:
-                count = f"{len(run.plan.keys)} of {run.objects} objects"
-                stdout.print(f"shard {job.share}: {count}", soft_wrap=True)
-            if dry_run:
-                stdout.print(console.plan_table(job, run.plan))
-                return 0
-            cure = "REPLACE=1" if called_by_make() else "--replace"
-            run.check_replaces(replace=replace, cure=f"add {cure}")
-            with console.progress(stderr, run.plan) as callbacks:
-                finished = run.finish(executor, *callbacks)
-        if finished.manifest is None:
-            return console.tell_share(finished.outcomes, job)
-        if not run.plan.tasks:
-            stdout.print("nothing to do, all of it was there already")
-        status = console.tell(finished.manifest, job.out)
-        if isinstance(job.out, Path):
-            stdout.print(f"next: {escape(_looking(job.out))}", soft_wrap=True)
+    whole = whole_command(sys.argv)
+    executor = job.executor.of(job, whole)
+    with started(job, command=whole) as run:
+        if job.share:
+            say(f"shard {job.share}: {len(run.plan.keys)} of {run.objects} objects")
+        if dry_run:
+            stdout.print(console.plan_table(job, run.plan))
+            return 0
+        cure = "REPLACE=1" if called_by_make() else "--replace"
+        run.check_replaces(replace=replace, cure=f"add {cure}")
+        with console.progress(stderr, run.plan) as callbacks:
+            finished = run.finish(executor, *callbacks)
+    if finished.manifest is None:
+        return console.tell_share(finished.outcomes, job)
+    if not run.plan.tasks:
+        say("nothing to do, all of it was there already")
+    status = console.tell(finished.manifest, job.out)
+    if isinstance(job.out, Path):
+        say(f"next: {_looking(job.out)}")
     return status
 
 
@@ -120,50 +109,36 @@ def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
     ended: dict[str, int] = {}
     for job in todo:
         try:
-            ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
+            with said(KEPT):
+                ended[job.category] = _made(job, dry_run=dry_run, replace=replace)
         except typer.Exit as left:
             if left.exit_code in STOPPED.values():
                 raise
             ended[job.category] = left.exit_code
     failed = [name for name, status in ended.items() if status == FAILED]
-    stdout.print(
-        f"{len(ended) - len(failed)} of {len(ended)} categories are done"
-        + (f"; not: {', '.join(failed)}" if failed else ""),
-        soft_wrap=True,
-    )
+    but = f"; not: {', '.join(failed)}" if failed else ""
+    say(f"{len(ended) - len(failed)} of {len(ended)} categories are done{but}")
     return FAILED if failed else max(ended.values(), default=0)
 
 
-@app.command(epilog="Example: articugen merge /shared/data/laptop")
+@offered("articugen merge /shared/data/laptop")
 def merge(
-    path: Annotated[
-        Path, typer.Argument(help="The folder that ranks have filled, or one of such folders.")
-    ],
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", "-j", min=1, help="Shards read at once.", show_default="all cores"),
-    ] = None,
-    sizes_only: Annotated[
-        bool,
-        typer.Option(
-            "--sizes-only", help="Compare sizes alone; `articugen verify` looks at every byte."
-        ),
-    ] = False,
-) -> None:
+    path: Path = argument("The folder that ranks have filled, or one of such folders."),
+    jobs: int | None = option(None, "Shards read at once.", "-j", min=1, show_default="all cores"),
+    sizes_only: bool = option(
+        False, "Compare sizes alone; `articugen verify` looks at every byte."
+    ),
+) -> int:
     """Check what `generate --shard` has made, and write the manifest."""
-    status = 0
-    with said():
-        from articugen.cli import console
-        from articugen.pipeline.folder import data_sets
-        from articugen.pipeline.merge import merge as merge_shares
-        from articugen.pipeline.run import default_jobs
+    from articugen.cli import console
+    from articugen.pipeline.folder import data_sets
+    from articugen.pipeline.merge import merge as merge_shares
 
-        for folder in data_sets(path, follow=False):
-            with counting_bar() as told:
-                manifest = merge_shares(
-                    folder, jobs=jobs or default_jobs(), sizes_only=sizes_only, on_object=told,
-                    on_notice=stdout.print,
-                )  # fmt: skip
-            status = max(status, console.tell(manifest, folder))
-    if status:
-        raise typer.Exit(status)
+    status = 0
+    for folder in data_sets(path, follow=False):
+        with counting_bar() as told:
+            manifest = merge_shares(
+                folder, jobs=jobs, sizes_only=sizes_only, on_object=told, on_notice=stdout.print
+            )
+        status = max(status, console.tell(manifest, folder))
+    return status

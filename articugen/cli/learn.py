@@ -3,16 +3,16 @@
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from rich.markup import escape
 
-from articugen.cli.app import app
-from articugen.cli.options import Changes, Data, Device, Run, Threads
-from articugen.cli.saying import command, loading, said, stderr, stdout
+from articugen.cli.options import DATA, DEVICE, RUN, THREADS, argument, offered
+from articugen.cli.saying import command, loading, said, say, stderr
+from articugen.pipeline.options import CHANGES, option
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -20,56 +20,39 @@ if TYPE_CHECKING:
     from articugen.learning.loop import Progress
 
 
-@app.command(
-    epilog="Examples:\n\narticugen train --category laptop --data data/laptop\n\n"
-    "articugen train --category laptop --data data/laptop --set losses.vol=500\n\n"
-    "articugen train --category laptop --data data/laptop --resume runs/laptop/000"
+@offered(
+    "articugen train --category laptop --data data/laptop",
+    "articugen train --category laptop --data data/laptop --set losses.vol=500",
+    "articugen train --category laptop --data data/laptop --resume runs/laptop/000",
 )
 def train(
-    category: Annotated[str, typer.Option("--category", "-c", help="What the data set holds.")],
-    data: Annotated[
-        list[Path],
-        typer.Option(
-            "--data",
-            "-d",
-            help="The folder of the data set. May be given several times: all are learned from "
-            "together, real objects beside bundled ones, say.",
-        ),
-    ],
-    recipe: Annotated[
-        str | None,
-        typer.Option(
-            "--recipe",
-            "-r",
-            help="A name under recipes/, or a YAML file.",
-            show_default="the method's own: ppd_quick",
-        ),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option("--method", "-m", help="What learns.", show_default="the recipe's, else ppd"),
-    ] = None,
-    changes: Changes = None,
-    runs: Annotated[Path, typer.Option(help="Runs go to <runs>/<category>/<number>.")] = Path(
-        "runs"
+    category: str = option(MISSING, "What the data set holds.", "-c"),
+    data: Sequence[Path] = option(
+        MISSING,
+        "The folder of the data set. May be given several times: all are learned from "
+        "together, real objects beside bundled ones, say.",
+        "-d",
     ),
-    seed: Annotated[int, typer.Option(help="Of weights and batches; the first of several.")] = 0,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="How many race; the best on held-out objects wins.",
-            show_default="the recipe's",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=0, help="Seeds at a time; 0 means one a CPU core.")
-    ] = 0,
-    resume: Annotated[
-        Path | None, typer.Option(help="Go on with this run instead; its recipe and seed hold.")
-    ] = None,
-    device: Device = "cpu",
-    threads: Threads = 0,
+    recipe: str | None = option(
+        None,
+        "A name under recipes/, or a YAML file.",
+        "-r",
+        show_default="the method's own: ppd_quick",
+    ),
+    method: str | None = option(None, "What learns.", "-m", show_default="the recipe's, else ppd"),
+    changes: Sequence[str] = CHANGES,
+    runs: Path = option(Path("runs"), "Runs go to <runs>/<category>/<number>."),
+    seed: int = option(0, "Of weights and batches; the first of several."),
+    seeds: int | None = option(
+        None,
+        "How many race; the best on held-out objects wins.",
+        min=1,
+        show_default="the recipe's",
+    ),
+    jobs: int = option(0, "Seeds at a time; 0 means one a CPU core.", "-j", min=0),
+    resume: Path | None = option(None, "Go on with this run instead; its recipe and seed hold."),
+    device: str = DEVICE,
+    threads: int = THREADS,
 ) -> None:
     """Train a method on a data set, or go on with a run."""
     run_folder = resume or f"{runs / category}/<the newest number>"
@@ -80,17 +63,16 @@ def train(
         with loading():
             from articugen.core.compiling import compile_kernels
             from articugen.learning import commands
-            from articugen.pipeline.run import default_jobs
 
         for hint in commands.hints(data):
-            stderr.print(hint, soft_wrap=True, markup=False)
-        compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
+            say(hint, to=stderr)
+        compile_kernels("train", notice=stderr.print)
         with _ProgressBar() as on_progress:
             run = commands.train(
                 data,
                 recipe,
                 method=method,
-                changes=changes or (),
+                changes=changes,
                 category=category,
                 runs=runs,
                 seed=seed,
@@ -101,227 +83,194 @@ def train(
                 threads=threads,
                 on_progress=on_progress,
             )
-        stdout.print(f"done: {run.path}", soft_wrap=True)
-        then = command("evaluate", run.path, "--data", data[0])
-        stdout.print(f"next: {escape(then)}", soft_wrap=True)
+        say(f"done: {run.path}")
+        say(f"next: {command('evaluate', run.path, '--data', data[0])}")
 
 
-@app.command(epilog="Example: articugen train-depth runs/laptop --data data/laptop")
+@offered("articugen train-depth runs/laptop --data data/laptop")
 def train_depth(
-    run: Run,
-    data: Data,
-    recipe: Annotated[
-        str, typer.Option("--recipe", "-r", help="ppd_depth is longer; or a YAML file.")
-    ] = "ppd_depth_quick",
-    changes: Changes = None,
-    runs: Annotated[Path, typer.Option(help="Where the new run goes, as for train.")] = Path(
-        "runs-depth"
-    ),
-    resume: Annotated[Path | None, typer.Option(help="Go on with this run instead.")] = None,
-    device: Device = "cpu",
-    threads: Threads = 0,
+    run: Path = RUN,
+    data: Path = DATA,
+    recipe: str = option("ppd_depth_quick", "ppd_depth is longer; or a YAML file.", "-r"),
+    changes: Sequence[str] = CHANGES,
+    runs: Path = option(Path("runs-depth"), "Where the new run goes, as for train."),
+    resume: Path | None = option(None, "Go on with this run instead."),
+    device: str = DEVICE,
+    threads: int = THREADS,
 ) -> None:
     """Train an encoder for what one camera sees, beside a run: train, with that run as teacher."""
-    with said():
-        with loading():
-            from articugen.learning.commands import RunFolder, newest
+    with loading():
+        from articugen.learning.commands import RunFolder, newest
 
-        teacher = newest(run)
-        category = RunFolder(teacher).about()["category"]
-    settings = [*(changes or ()), f"teacher={json.dumps(str(teacher))}"]
+    teacher = newest(run)
     train(
-        category, [data], recipe, changes=settings, runs=runs, resume=resume, device=device,
+        category=RunFolder(teacher).about()["category"],
+        data=[data],
+        recipe=recipe,
+        changes=[*changes, f"teacher={json.dumps(str(teacher))}"],
+        runs=runs,
+        resume=resume,
+        device=device,
         threads=threads,
-    )  # fmt: skip
+    )
 
 
-@app.command(epilog="Example: articugen evaluate runs/laptop --data data/laptop")
+@offered("articugen evaluate runs/laptop --data data/laptop")
 def evaluate(
-    run: Run,
-    data: Data,
-    protocol: Annotated[
-        str, typer.Option(help="paper, or release: as the authors' code measures.")
-    ] = "paper",
-    resolution: Annotated[
-        int | None,
-        typer.Option(
-            min=8,
-            max=256,
-            help="Of the meshes' grid.",
-            show_default="32, labels on 64 as well; release: 64",
-        ),
-    ] = None,
-    label_poses: Annotated[
-        str, typer.Option(help="Whose poses vote for labels: canonical, or all as well.")
-    ] = "canonical",
-    states: Annotated[
-        int, typer.Option(min=0, help="Random states an object; 0 means all, as in the paper.")
-    ] = 8,
-    on: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Another data set: test all its objects, of which none was trained on. May be "
-            "given several times, for an evaluation each.",
-            show_default="the test objects",
-        ),
-    ] = None,
-    figures: Annotated[bool, typer.Option(help="Draw figures as well.")] = True,
-    threads: Annotated[
-        int, typer.Option(min=0, help="CPU threads, of which more hardly help; 0: torch's.")
-    ] = 1,
+    run: Path = RUN,
+    data: Path = DATA,
+    protocol: str = option("paper", "paper, or release: as the authors' code measures."),
+    resolution: int | None = option(
+        None,
+        "Of the meshes' grid.",
+        min=8,
+        max=256,
+        show_default="32, labels on 64 as well; release: 64",
+    ),
+    label_poses: str = option(
+        "canonical", "Whose poses vote for labels: canonical, or all as well."
+    ),
+    states: int = option(8, "Random states an object; 0 means all, as in the paper.", min=0),
+    on: Sequence[Path] = option(
+        (),
+        "Another data set: test all its objects, of which none was trained on. May be "
+        "given several times, for an evaluation each.",
+        show_default="the test objects",
+    ),
+    figures: bool = option(True, "Draw figures as well.", "--figures/--no-figures"),
+    threads: int = option(1, "CPU threads, of which more hardly help; 0: torch's.", min=0),
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
-    with said():
-        from articugen.evaluation.report import markdown
-        from articugen.learning import commands
-        from articugen.store.manifest import Manifest
+    from articugen.evaluation.report import markdown
+    from articugen.learning import commands
+    from articugen.store.manifest import Manifest
 
-        folders = [commands.evaluation_folder(run, protocol, place) for place in on or [None]]
-        if len(set(folders)) < len(folders):
-            raise typer.BadParameter("--on: two of the data sets have one name; rename a folder")
-        for place in on or ():
-            commands.check_splits(data, Manifest.read(data).category, place)
-        for place, out in zip(on or [None], folders, strict=True):
-            with stderr.status("evaluating ...") as status:
-                result = commands.evaluate(
-                    run,
-                    data,
-                    protocol=protocol,
-                    resolution=resolution,
-                    label_poses=label_poses,
-                    states=states or None,
-                    threads=threads,
-                    on=place,
-                    on_object=lambda name, status=status: status.update(f"evaluated {name}"),
-                )
-            stdout.print(markdown(result), soft_wrap=True, markup=False)
-            stdout.print(f"written: {out}/evaluation.json, evaluation.md", soft_wrap=True)
-            if figures and protocol == "paper":
-                with stderr.status("drawing ..."):
-                    for path in commands.draw(run, data, result):
-                        stdout.print(f"drawn: {path}", soft_wrap=True)
+    folders = [commands.evaluation_folder(run, protocol, place) for place in on or [None]]
+    if len(set(folders)) < len(folders):
+        raise typer.BadParameter("--on: two of the data sets have one name; rename a folder")
+    for place in on or ():
+        commands.check_splits(data, Manifest.read(data).category, place)
+    for place, out in zip(on or [None], folders, strict=True):
+        with stderr.status("evaluating ...") as status:
+            result = commands.evaluate(
+                run,
+                data,
+                protocol=protocol,
+                resolution=resolution,
+                label_poses=label_poses,
+                states=states or None,
+                threads=threads,
+                on=place,
+                on_object=lambda name, status=status: status.update(f"evaluated {name}"),
+            )
+        say(markdown(result))
+        say(f"written: {out}/evaluation.json, evaluation.md")
+        if figures and protocol == "paper":
+            with stderr.status("drawing ..."):
+                for path in commands.draw(run, data, result):
+                    say(f"drawn: {path}")
 
 
-@app.command(epilog="Example: articugen tables runs --figure examples.png")
+@offered("articugen tables runs --figure examples.png")
 def tables(
-    runs: Annotated[list[Path], typer.Argument(help="Folders with evaluated runs in them.")],
-    figure: Annotated[
-        Path | None,
-        typer.Option(help="Draw a test object of each run in three states into this PNG as well."),
-    ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            "--data",
-            "-d",
-            help="For --figure: a data set, or a folder with one named after each category.",
-            show_default="what each run was trained on",
-        ),
-    ] = None,
+    runs: Sequence[Path] = argument("Folders with evaluated runs in them."),
+    figure: Path | None = option(
+        None, "Draw a test object of each run in three states into this PNG as well."
+    ),
+    data: Path | None = option(
+        None,
+        "For --figure: a data set, or a folder with one named after each category.",
+        "-d",
+        show_default="what each run was trained on",
+    ),
 ) -> None:
     """Print the paper's tables over all evaluated runs in folders, seeds as mean and spread."""
     if data and not figure:
         raise typer.BadParameter("--data is what --figure draws; name that too")
-    with said():
-        from articugen.learning import commands
+    from articugen.learning import commands
 
-        stdout.print(commands.tables(runs), soft_wrap=True, markup=False)
-        if figure:
-            with stderr.status("drawing ..."):
-                commands.draw_examples(runs, figure, data)
-            stdout.print(f"drawn: {figure}", soft_wrap=True)
+    say(commands.tables(runs))
+    if figure:
+        with stderr.status("drawing ..."):
+            commands.draw_examples(runs, figure, data)
+        say(f"drawn: {figure}")
 
 
-@app.command(epilog="Example: articugen train-all data/laptop -l ablation --budget 60 --seeds 3")
+@offered(
+    "articugen train-all data/laptop -l ablation --budget 60 --seeds 3",
+    interrupted="interrupted; what was last saved is kept, the same command resumes",
+)
 def train_all(
-    data: Annotated[Path, typer.Argument(help="The folder of the data set.")],
-    recipes: Annotated[
-        str, typer.Option("--list", "-l", help="comparison, ablation, or a YAML list of recipes.")
-    ] = "comparison",
-    budget: Annotated[
-        float, typer.Option(min=0.001, help="CPU minutes of each training; on a GPU, the clock's.")
-    ] = 10.0,
-    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each recipe.")] = 1,
-    states: Annotated[
-        int, typer.Option(min=0, help="Random states an object in the evaluation; 0 means all.")
-    ] = 8,
-    runs: Annotated[
-        Path | None, typer.Option(help="Where runs go.", show_default="a folder called as the list")
-    ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=2, help="Recipes at a time.")] = 2,
-    device: Device = "cpu",
+    data: Path = argument("The folder of the data set."),
+    recipes: str = option(
+        "comparison", "comparison, ablation, or a YAML list of recipes.", "--list", "-l"
+    ),
+    budget: float = option(10.0, "CPU minutes of each training; on a GPU, the clock's.", min=0.001),
+    seeds: int = option(1, "Seeds of each recipe.", min=1),
+    states: int = option(8, "Random states an object in the evaluation; 0 means all.", min=0),
+    runs: Path | None = option(None, "Where runs go.", show_default="a folder called as the list"),
+    jobs: int = option(2, "Recipes at a time.", "-j", min=1, max=2),
+    device: str = DEVICE,
 ) -> None:
     """Train several recipes for equally long, evaluate them alike, print tables, draw an object."""
-    with said("interrupted; what was last saved is kept, the same command resumes"):
-        with loading():
-            from articugen.core.compiling import compile_kernels
-            from articugen.learning.comparison import compare as compare_recipes
-            from articugen.pipeline.run import default_jobs
+    with loading():
+        from articugen.core.compiling import compile_kernels
+        from articugen.learning.comparison import compare as compare_recipes
 
-        compile_kernels("train", jobs=default_jobs(), notice=stderr.print)
-        with _ProgressBar() as on_progress:
-            done = compare_recipes(
-                data, recipes, minutes=budget, runs=runs, seeds=seeds, states=states or None,
-                jobs=jobs, device=device, on_progress=on_progress,
-                on_done=lambda text: stderr.print(escape(text), soft_wrap=True),
-            )  # fmt: skip
-        stdout.print(done.text, soft_wrap=True, markup=False)
-        stdout.print(f"written: {done.folder}/tables.md, {done.figure.name}", soft_wrap=True)
+    compile_kernels("train", notice=stderr.print)
+    with _ProgressBar() as on_progress:
+        done = compare_recipes(
+            data, recipes, minutes=budget, runs=runs, seeds=seeds, states=states or None,
+            jobs=jobs, device=device, on_progress=on_progress,
+            on_done=lambda text: say(text, to=stderr),
+        )  # fmt: skip
+    say(done.text)
+    say(f"written: {done.folder}/tables.md, {done.figure.name}")
 
 
-@app.command(
-    epilog="Examples:\n\narticugen predict runs/laptop data/laptop/test-00000.h5 --row 3\n\n"
-    "articugen predict runs/laptop cloud.ply --fit --out rig\n\n"
-    "articugen predict runs-depth/laptop view.ply"
+@offered(
+    "articugen predict runs/laptop data/laptop/test-00000.h5 --row 3",
+    "articugen predict runs/laptop cloud.ply --fit --out rig",
+    "articugen predict runs-depth/laptop view.ply",
 )
 def predict(
-    run: Run,
-    cloud: Annotated[Path, typer.Argument(help="A shard, or points as .ply, .npy, .npz or .xyz.")],
-    row: Annotated[int, typer.Option(min=0, help="Which instance of the shard.")] = 0,
-    camera: Annotated[
-        int, typer.Option(min=0, help="Which of the shard's, for a run of train-depth.")
-    ] = 0,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="Bring the cloud's box into the unit frame first.")
-    ] = False,
-    out: Annotated[Path, typer.Option(help="The folder for meshes, URDF and GLB.")] = Path("rig"),
-    resolution: Annotated[int, typer.Option(min=8, max=256, help="Of the meshes' grid.")] = 64,
+    run: Path = RUN,
+    cloud: Path = argument("A shard, or points as .ply, .npy, .npz or .xyz."),
+    row: int = option(0, "Which instance of the shard.", min=0),
+    camera: int = option(0, "Which of the shard's, for a run of train-depth.", min=0),
+    fit: bool = option(False, "Bring the cloud's box into the unit frame first."),
+    out: Path = option(Path("rig"), "The folder for meshes, URDF and GLB."),
+    resolution: int = option(64, "Of the meshes' grid.", min=8, max=256),
 ) -> None:
     """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts."""
-    with said():
-        from articugen.learning import commands
+    from articugen.learning import commands
 
-        with stderr.status("looking, cutting, drawing ..."):
-            made = commands.predict(
-                run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
-            )
-        if made.cloud.hint:
-            stderr.print(made.cloud.hint, soft_wrap=True)
-        for line in made.lines():
-            stdout.print(line)
-        cut = "".join(f", {path.name}" for path in made.cut)
-        stdout.print(f"written: {made.path}{cut}", soft_wrap=True)
+    with stderr.status("looking, cutting, drawing ..."):
+        made = commands.predict(
+            run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
+        )
+    if made.cloud.hint:
+        say(made.cloud.hint, to=stderr)
+    for line in made.lines():
+        say(line)
+    cut = "".join(f", {path.name}" for path in made.cut)
+    say(f"written: {made.path}{cut}")
 
 
-@app.command()
+@offered()
 def watch(
-    run: Run,
-    folder: Annotated[
-        Path, typer.Argument(help="A sequence of RBO or of the Articulated Object Dataset.")
-    ],
-    images: Annotated[int, typer.Option(min=2, help="How many of the sequence.")] = 8,
-    out: Annotated[Path, typer.Option(help="The folder for picture and numbers.")] = Path(
-        "recorded"
-    ),
+    run: Path = RUN,
+    folder: Path = argument("A sequence of RBO or of the Articulated Object Dataset."),
+    images: int = option(8, "How many of the sequence.", min=2),
+    out: Path = option(Path("recorded"), "The folder for picture and numbers."),
 ) -> None:
     """Reconstruct a laptop that a depth camera has recorded, and compare with its true poses."""
-    with said():
-        from articugen.learning.recorded import watch as watch_recorded
+    from articugen.learning.recorded import watch as watch_recorded
 
-        outcome = watch_recorded(run, folder, images=images, out=out)
-        for name, value in outcome.numbers.items():
-            stdout.print(f"{name}: {value:.3g}")
-        stdout.print(f"written: {outcome.figure}", soft_wrap=True)
+    outcome = watch_recorded(run, folder, images=images, out=out)
+    for name, value in outcome.numbers.items():
+        say(f"{name}: {value:.3g}")
+    say(f"written: {outcome.figure}")
 
 
 class _ProgressBar:

@@ -1,70 +1,114 @@
-"""Options that several commands take, and those of a record as options of a command."""
+"""Commands: functions whose parameters, or a record of theirs, say by `option` what is asked."""
 
 import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import MISSING, Field, fields
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
 import typer
 
-Changes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="Another value than the recipe's, as YAML; may be given several times.",
-        show_default="none",
-    ),
-]
-Data = Annotated[Path, typer.Option("--data", "-d", help="The folder of the data set.")]
-DataSets = Annotated[Path, typer.Argument(help="The folder of a data set, or one of such folders.")]
-Device = Annotated[str, typer.Option(help="cpu, cuda or cuda:1.")]
-Run = Annotated[Path, typer.Argument(help="A run's folder, or that of a category's runs.")]
-Threads = Annotated[int, typer.Option(min=0, help="CPU threads; 0 leaves it to torch.")]
+from articugen.cli.app import app
+from articugen.cli.saying import said
+from articugen.pipeline.options import option
 
 
-def listed(texts: list[str] | None) -> list[str]:
-    """Return the names in options that may be given several times, with several names each."""
-    return [name.strip() for text in texts or () for name in text.split(",") if name.strip()]
+def argument(sentence: str, default: Any = MISSING, **shown: Any) -> Any:
+    """Return the same as `option` for what is given by its place."""
+    return field(default=default, metadata={"help": sentence, "flags": None, "shown": shown})
 
 
-def with_options_of(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator: a command whose first parameter is a record has an option for each of its
-    fields that tells of flags."""
-    chosen = {one.name: one for one in fields(record) if "flags" in one.metadata}
+DATA = option(MISSING, "The folder of the data set.", "-d")
+DATA_SETS = argument("The folder of a data set, or one of such folders.")
+DEVICE = option("cpu", "cpu, cuda or cuda:1.")
+RUN = argument("A run's folder, or that of a category's runs.")
+THREADS = option(0, "CPU threads; 0 leaves it to torch.", min=0)
 
-    def decorated(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
+
+def offered(
+    *examples: str, name: str | None = None, interrupted: str = "interrupted", **settings: Any
+) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
+    """Return a decorator: a function becomes a command of its name, which ends with the exit status
+    that it returns, and with our errors in one sentence.
+
+    Args:
+        examples: commands, and words on them, for its help.
+        interrupted: what is said where it is interrupted.
+        settings: further ones of `app.command`.
+    """
+    heading = "Example: " if len(examples) == 1 else "Examples:\n\n"
+    epilog = heading + "\n\n".join(examples) if examples else None
+
+    def decorated(function: Callable[..., int | None]) -> Callable[..., None]:
+        signature = inspect.signature(function)
+        asked = {one.name: one for one in _asked(signature)}
+        records = {p.name: p.annotation for p in signature.parameters.values() if _is_record(p)}
+
+        @wraps(function)
         def called(**values: Any) -> None:
-            given = {name: _value(one, values.pop(name)) for name, one in chosen.items()}
-            command(record(**given), **values)
+            given = {one.name: _value(one, values.get(one.name)) for one in asked.values()}
+            for place, record in records.items():
+                own = [one.name for one in fields(record) if one.name in given]
+                given[place] = record(**{name: given.pop(name) for name in own})
+            with said(interrupted):
+                status = function(**given)
+            if status:
+                raise typer.Exit(status)
 
-        rest = list(inspect.signature(command).parameters.values())[1:]
-        parameters = [*map(_parameter, chosen.values()), *rest]
+        parameters = [*map(_parameter, asked.values())]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
+        app.command(name, epilog=epilog, **settings)(called)
         return called
 
     return decorated
 
 
+def _is_record(parameter: inspect.Parameter) -> bool:
+    return is_dataclass(parameter.annotation)
+
+
+def _asked(signature: inspect.Signature) -> Iterator[Field[Any]]:
+    """Yield what can be asked, by name and type, in the order of the help."""
+    for parameter in signature.parameters.values():
+        if _is_record(parameter):
+            yield from (one for one in fields(parameter.annotation) if "flags" in one.metadata)
+        else:
+            one = copy(parameter.default)
+            one.name, one.type = parameter.name, parameter.annotation
+            yield one
+
+
 def _parameter(one: Field[Any]) -> inspect.Parameter:
-    """Return a field as a parameter that typer understands: texts, a number, a flag, or a text."""
-    kinds = (one.type, *get_args(one.type))
-    kind: Any = next((kind for kind in (bool, float, int) if kind in kinds), str)
-    kind = list[str] if _is_several(one) else kind
+    """Return it as a parameter that typer understands: texts, a number, a flag, or a text."""
+    kind: Any = _kind(one)
+    kind = list[kind] if _is_several(one) else kind
     flags, default = one.metadata["flags"], None if one.default == () else one.default
-    if not any(flag.startswith("--") for flag in flags):
-        flags = (f"--{one.name.replace('_', '-')}", *flags)
-    offered = typer.Option(*flags, help=one.metadata["help"], **one.metadata["shown"])
+    about = {"help": one.metadata["help"], **one.metadata["shown"]}
+    if flags is None:
+        shown = typer.Argument(**about)
+    else:
+        is_named = any(flag.startswith("--") for flag in flags)
+        shown = typer.Option(*(() if is_named else (f"--{_flag(one.name)}",)), *flags, **about)
     return inspect.Parameter(
         one.name,
         inspect.Parameter.POSITIONAL_OR_KEYWORD,
         default=inspect.Parameter.empty if default is MISSING else default,
-        annotation=Annotated[kind if default is not None else kind | None, offered],
+        annotation=Annotated[kind if default is not None else kind | None, shown],
     )
+
+
+def _flag(name: str) -> str:
+    return name.replace("_", "-")
+
+
+def _kind(one: Field[Any]) -> type:
+    """Return the type of its value, or of each of its values."""
+    kinds = [one.type, *get_args(one.type)]
+    kinds += [inner for kind in kinds for inner in get_args(kind)]
+    return next((kind for kind in (bool, float, int, str) if kind in kinds), Path)
 
 
 def _is_several(one: Field[Any]) -> bool:
@@ -72,7 +116,11 @@ def _is_several(one: Field[Any]) -> bool:
 
 
 def _value(one: Field[Any], value: Any) -> Any:
-    """Return what the field holds; names are parted by commas, settings are not."""
-    if _is_several(one) and one.name != "changes":
-        return listed(value)
-    return one.default if value is None else value
+    """Return what a function is called with; names are parted by commas, settings and paths are
+    not."""
+    if value is None:
+        return one.default
+    is_names = _is_several(one) and _kind(one) is str and one.name != "changes"
+    if not is_names or not isinstance(value, list):
+        return value
+    return [name.strip() for text in value for name in text.split(",") if name.strip()]

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
+from rich.text import Text
 
 from articugen.core.errors import ArticugenError, printable, spelt_out
 
@@ -42,9 +43,14 @@ stdout = Terminal(highlight=False)
 stderr = Terminal(stderr=True, highlight=False)
 
 
+def say(*pieces: str | tuple[str, str], to: Console = stdout) -> None:
+    """Print a line that ends where it ends, of texts as they are, some with a style."""
+    to.print(Text.assemble(*pieces), soft_wrap=True)
+
+
 def say_error(sentence: str) -> None:
     """Print an error to stderr, on one line."""
-    stderr.print(f"[bold red]error:[/] {escape(printable(sentence))}", soft_wrap=True)
+    say(("error:", "bold red"), f" {printable(sentence)}", to=stderr)
 
 
 def called_by_make() -> bool:
@@ -91,7 +97,7 @@ def said(interrupted: str = "interrupted") -> Iterator[None]:
         say_error(str(error))
         raise typer.Exit(FAILED) from None
     except KeyboardInterrupt as stop:
-        stderr.print(escape(printable(interrupted)), soft_wrap=True)
+        say(printable(interrupted), to=stderr)
         raise typer.Exit(STOPPED[getattr(stop, "number", signal.SIGINT)]) from None
 
 

@@ -45,12 +45,13 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def compile_kernels(
-    command: str, *, jobs: int, notice: Callable[[str], None] = lambda _: None
+    command: str, *, jobs: int | None = None, notice: Callable[[str], None] = lambda _: None
 ) -> None:
     """Compile what a command needs, unless that was done before; they are kept on the disk.
 
     Args:
-        jobs: processes to use; with 0 nothing is done, and the kernels are compiled when first met.
+        jobs: processes to use, None for all cores; with 0 nothing is done, and the kernels are
+            compiled when first met.
         notice: called with one sentence where it takes a while.
     """
     stamp = _stamp(command)
@@ -61,7 +62,8 @@ def compile_kernels(
     except OSError:  # nothing can be kept here
         return
     notice("compiling the kernels, once after an installation or an update ...")
-    lost = [ended.lost for ended in processes.each(_warm_up, WARM_UPS[command], workers=jobs)]
+    workers = jobs or processes.default_jobs()
+    lost = [ended.lost for ended in processes.each(_warm_up, WARM_UPS[command], workers=workers)]
     if not any(lost):
         with suppress(OSError):
             stamp.touch()
@@ -70,7 +72,7 @@ def compile_kernels(
 def compile_all() -> None:
     """What every command needs, on all cores."""
     for command in WARM_UPS:
-        compile_kernels(command, jobs=os.cpu_count() or 1)
+        compile_kernels(command)
 
 
 def _warm_up(name: str) -> None:

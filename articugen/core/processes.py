@@ -93,6 +93,13 @@ _report: Callable[[object], None] = _nothing
 """What `report` does in this process: set in every worker, and here while a task is done here."""
 
 
+def default_jobs() -> int:
+    """Return the cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def die_with(parent: int) -> None:
     """End this process as soon as the process `parent`, its parent, has ended; within a second.
 

@@ -4,11 +4,12 @@ import os
 from pathlib import Path
 
 from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.processes import default_jobs
 from articugen.core.recipe import load_recipe
 from articugen.core.yaml_files import with_settings
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.options import OnNotice, OnObject, Options, ignore, takes
-from articugen.pipeline.run import default_jobs, started
+from articugen.pipeline.run import started
 from articugen.sources.source import open_source
 from articugen.store.bucket import Remote, is_url
 from articugen.store.dataset import DataSet

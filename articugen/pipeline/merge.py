@@ -7,6 +7,7 @@ from typing import Any
 
 from articugen.core.errors import ArticugenError
 from articugen.core.place import Folder
+from articugen.core.processes import default_jobs
 from articugen.core.recipe import Recipe
 from articugen.pipeline.common import OF_JOB, CommonPlan, listing_of
 from articugen.pipeline.job import Job
@@ -21,7 +22,7 @@ from articugen.store.manifest import Manifest
 def merge(
     folder: Path,
     *,
-    jobs: int = 1,
+    jobs: int | None = None,
     sizes_only: bool = False,
     on_object: Callable[[int, int, str], None] = lambda *_: None,
     on_notice: OnNotice = lambda _: None,
@@ -31,7 +32,7 @@ def merge(
 
     Args:
         folder: of the data set.
-        jobs: threads that read shards.
+        jobs: threads that read shards, None for all cores.
         sizes_only: compare the sizes of shards, not every byte.
         on_object: called with how many objects were checked, of how many, and the last one.
         on_notice: called with one sentence where nothing is left to merge.
@@ -45,7 +46,7 @@ def merge(
             manifest = _check_merged(records, folder)
             on_notice("nothing to merge: the manifest tells of all that was made")
             return manifest
-        job = _job_of(records.agreed, folder, jobs)
+        job = _job_of(records.agreed, folder, jobs or default_jobs())
         refs = objects_of(job, open_source(job.source))
         _check_listing(records, refs)
         plan = plan_recorded(job, records, refs, on_object)

@@ -3,8 +3,6 @@
 It imports nothing that takes time: `articugen generate --help` reads it.
 """
 
-# ruff: noqa: RUF009 - `option` makes a field
-
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -61,6 +59,15 @@ def option(default: Any, sentence: str, *flags: str, **shown: Any) -> Any:
     return field(default=default, metadata={"help": sentence, "flags": flags, "shown": shown})
 
 
+CHANGES = option(
+    (),
+    "Another value than the recipe's, as YAML; may be given several times.",
+    "--set",
+    metavar="SECTION.KEY=VALUE",
+    show_default="none",
+)
+
+
 @dataclass(frozen=True)
 class Options:
     """What is asked of `generate`."""
@@ -82,13 +89,7 @@ class Options:
         None, "A name under recipes/ or a file.", "-r", show_default="category's"
     )
     _: KW_ONLY
-    changes: Sequence[str] = option(
-        (),
-        "Another value than the recipe's, as YAML; may be given several times.",
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        show_default="none",
-    )
+    changes: Sequence[str] = CHANGES
     objects: int | None = option(
         None, "So many objects, in the splits' ratio.", "-n", min=1, show_default="all"
     )

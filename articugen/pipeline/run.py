@@ -6,7 +6,6 @@ has it to itself; processes that share out the objects plan the whole, each make
 whoever finds all of it recorded writes the manifest: `merge` is a run's end without an executor.
 """
 
-import os
 import random
 import resource
 import sys
@@ -337,10 +336,3 @@ def timings_of(instances: int, seconds: float, jobs: int) -> Timings:
         peak_memory_bytes=peak * unit,
         workers=max(1, jobs),
     )
-
-
-def default_jobs() -> int:
-    """Return the cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from articugen.core.errors import InvalidArgument
-from articugen.pipeline.run import default_jobs
+from articugen.core.processes import default_jobs
 from articugen.verify.dataset import Repair, Report, verify
 
 

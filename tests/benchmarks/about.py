@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from articugen.pipeline import run
+from articugen.core import processes
 
 LIBRARIES = ("numpy", "numba", "h5py", "trimesh")
 
@@ -30,7 +30,7 @@ def about(quick: bool, versions: Iterable[Mapping[str, str]] = ()) -> dict[str, 
         "command": " ".join(["python -m", name, *_without_folder(sys.argv[1:])]),
         "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
         "date": time.strftime("%Y-%m-%d"),
-        "machine": f"{_cpu()}, {run.default_jobs()} cores, {platform.system()}, "
+        "machine": f"{_cpu()}, {processes.default_jobs()} cores, {platform.system()}, "
         f"Python {platform.python_version()}",
         "load_before": os.getloadavg()[0],
         "quick": quick,

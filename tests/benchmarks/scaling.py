@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from articugen.core import processes
 from articugen.core.recipe import Recipe
 from articugen.core.records import ArticulatedObject, Mesh
 from articugen.instance import make, preparing
-from articugen.pipeline import run
 from tests.benchmarks import ours
 from tests.benchmarks.cases import Model
 
@@ -142,4 +142,4 @@ def _short(number: float) -> str:
 
 def worker_counts() -> tuple[int, ...]:
     """1, 2, 4, ... up to the cores that this process may use; 2 at least."""
-    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, run.default_jobs()))
+    return tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n <= max(2, processes.default_jobs()))
