@@ -281,7 +281,7 @@ def test_a_store_that_goes_away_is_no_damage(
     server: Trouble, stored: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = ag.open(stored)
-    monkeypatch.setattr(bucket_module, "TRIES", 1)
+    monkeypatch.setattr(bucket_module.Bucket, "tries", 1)
     monkeypatch.setattr(bucket_module, "RETRIES", 0)
     for method in ("HEAD", "GET"):  # the second when HDF5 is reading
         server.deaf = method

@@ -7,11 +7,12 @@ of another server than Amazon's come from the environment: AWS_ACCESS_KEY_ID, AW
 import os
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
 from articugen.core.place import Listed
@@ -75,47 +76,6 @@ class Answer(Enum):
     NONSENSE = "no store is at fault"
 
 
-def tried(
-    act: Callable[[], R],
-    where: str,
-    answer: Callable[[Exception], Answer],
-    *,
-    cure: str,
-    times: int,
-) -> R | None:
-    """Return what `act`, a request for the file `where`, returns; None where there is no such file.
-    It is tried again, `times` at most, where nobody answers; `answer` says what an error means.
-
-    Raises:
-        ArticugenError: access is refused; `cure` says what to do.
-        MachineFault: the store does not answer.
-        Exception: nonsense.
-    """
-    for left in reversed(range(times)):
-        try:
-            return act()
-        except Exception as error:
-            said = answer(error)
-            if said is Answer.ABSENT:
-                return None
-            if said is Answer.REFUSED:
-                raise ArticugenError(
-                    f"{where}: access is refused; {cure} ({_first_line(error)})"
-                ) from None
-            if said is Answer.NONSENSE:
-                raise
-            if not left:
-                raise MachineFault(
-                    f"{where}: the store does not answer ({_first_line(error)}); see to it"
-                ) from None
-            time.sleep(PAUSE * 2 ** (times - 1 - left))
-    raise AssertionError
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().split("\n")[0][:200]
-
-
 @dataclass(frozen=True)
 class Remote:
     """A file or folder in an object store, as pathlib's paths are of a disk's."""
@@ -137,21 +97,76 @@ class Remote:
         return self.url
 
 
-class Files(Protocol):
-    """A folder elsewhere, to read: a `Bucket`, or what fsspec knows, see `remote.folder_at`."""
+class Files(ABC):
+    """A folder elsewhere, to read: a `Bucket`, or what fsspec knows, see `remote.folder_at`.
+
+    Raises:
+        MachineFault: nobody answers, however often it is asked; so all methods.
+        ArticugenError: access is refused; so all methods.
+
+    Attributes:
+        url: of the folder.
+        tries: of a request that is not answered.
+        keys: that decide on access, for people.
+    """
 
     url: str
+    tries: int
+    keys: str
 
-    def read(self, name: str) -> bytes | None: ...
+    def read(self, name: str) -> bytes | None:
+        """Return a file's bytes; None where there is none."""
+        return self._tried(name, lambda: self._read(name))
 
-    def size(self, name: str) -> int | None: ...
+    def size(self, name: str) -> int | None:
+        """Bytes of a file; None where there is none."""
+        return self._tried(name, lambda: self._size(name))
+
+    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes] | None:
+        """Parts of a file, each by its first byte and length; None where there is no such file."""
+        return self._tried(name, lambda: self._ranges(name, spans))
+
+    @abstractmethod
+    def _read(self, name: str) -> bytes: ...
+    @abstractmethod
+    def _size(self, name: str) -> int: ...
+    @abstractmethod
+    def _ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]: ...
+    @abstractmethod
+    def _answer(self, error: Exception) -> Answer:
+        """Say what an error means."""
+
+    def _tried(self, name: str, act: Callable[[], R]) -> R | None:
+        """What `act`, a request for a file, returns; None where there is no such file."""
+        where = f"{self.url}/{name}".rstrip("/")
+        for left in reversed(range(self.tries)):
+            try:
+                return act()
+            except Exception as error:
+                meant, line = self._answer(error), str(error).strip().split("\n")[0][:200]
+                if meant is Answer.ABSENT:
+                    return None
+                if meant is Answer.REFUSED:
+                    raise ArticugenError(
+                        f"{where}: access is refused; see to the keys, {self.keys} and the like "
+                        f"({line})"
+                    ) from None
+                if meant is Answer.NONSENSE:
+                    raise
+                if not left:
+                    raise MachineFault(
+                        f"{where}: the store does not answer ({line}); see to it"
+                    ) from None
+                time.sleep(PAUSE * 2 ** (self.tries - 1 - left))
+        raise AssertionError
 
 
-class Bucket:
+class Bucket(Files):
     """A folder in an object store, a `Place`. It can be sent to other processes; each connects for
     itself."""
 
     at_once = 16
+    tries, keys = TRIES, "AWS_ACCESS_KEY_ID"
 
     def __init__(self, url: str) -> None:
         """Raise MissingExtra without obstore, InvalidArgument where no store is called so."""
@@ -180,34 +195,9 @@ class Bucket:
     def __str__(self) -> str:
         return self.url
 
-    def read(self, name: str) -> bytes | None:
-        """Return a file's bytes; None where there is none.
-
-        Raises:
-            MachineFault: the store does not answer, or refuses; so all others.
-        """
-        return self._tried(lambda: bytes(self._obstore.get(self._store, name).bytes()), name)
-
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes] | None:
-        """Parts of a file, each by its first byte and length; None where there is no such file."""
-        starts, lengths = [at for at, _ in spans], [size for _, size in spans]
-        return self._tried(
-            lambda: [
-                bytes(part)
-                for part in self._obstore.get_ranges(
-                    self._store, name, starts=starts, lengths=lengths
-                )
-            ],
-            name,
-        )
-
-    def size(self, name: str) -> int | None:
-        """Bytes of a file; None where there is none."""
-        return self._tried(lambda: self._obstore.head(self._store, name)["size"], name)
-
     def write(self, name: str, data: bytes | Path) -> None:
         """Write a file, which is there as a whole or not at all."""
-        self._tried(lambda: self._obstore.put(self._store, name, data, chunk_size=PART), name)
+        self._tried(name, lambda: self._obstore.put(self._store, name, data, chunk_size=PART))
 
     def write_new(self, name: str, data: bytes) -> bool:
         """Write a file that was not there; whether it holds `data` now."""
@@ -220,12 +210,12 @@ class Bucket:
                 return self._obstore.get(self._store, name).bytes() == data
             return True
 
-        return bool(self._tried(put, name))
+        return bool(self._tried(name, put))
 
     def delete(self, names: Iterable[str]) -> None:
         """Remove files; one that is not there is no fault."""
         for name in names:
-            self._tried(lambda name=name: self._obstore.delete(self._store, name), name)
+            self._tried(name, lambda name=name: self._obstore.delete(self._store, name))
 
     def list(self, under: str = "") -> Mapping[str, Listed]:
         """The files whose names begin with the folder `under`, "" for all, without that folder."""
@@ -238,14 +228,18 @@ class Bucket:
                     found[name] = Listed(each["size"], each["last_modified"].timestamp())
             return found
 
-        return self._tried(listing, under) or {}
+        return self._tried(under, listing) or {}
 
-    def _tried(self, act: Callable[[], R], name: str) -> R | None:
-        """What `act` returns, tried again where the store does not answer; None where there is no
-        such file."""
-        cure = "see to the keys, AWS_ACCESS_KEY_ID and the like"
-        where = f"{self.url}/{name}"
-        return tried(act, where, self._answer, cure=cure, times=TRIES)
+    def _read(self, name: str) -> bytes:
+        return bytes(self._obstore.get(self._store, name).bytes())
+
+    def _size(self, name: str) -> int:
+        return self._obstore.head(self._store, name)["size"]
+
+    def _ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
+        starts, lengths = [at for at, _ in spans], [size for _, size in spans]
+        parts = self._obstore.get_ranges(self._store, name, starts=starts, lengths=lengths)
+        return list(map(bytes, parts))
 
     def _answer(self, error: Exception) -> Answer:
         kinds = self._obstore.exceptions

@@ -3,11 +3,11 @@ else, hf:// or sftp:// for instance, by fsspec (alone in knowing it).
 """
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault, MissingExtra
-from articugen.store.bucket import READ_SCHEMES, SCHEMES, Answer, Bucket, Remote, scheme_of, tried
+from articugen.store.bucket import READ_SCHEMES, SCHEMES, Answer, Bucket, Files, Remote, scheme_of
 
 BLOCK = 1 << 16
 """Bytes that a file is read by, where it is read as one."""
@@ -29,13 +29,15 @@ _REFUSED, _ABSENT = (401, 403), (404, 410)
 """HTTP's statuses, which some implementations have in their errors."""
 
 
-def folder_at(url: str) -> "Bucket | FileSystem":
+def folder_at(url: str) -> Files:
     """Return what reads files of the folder `url`; raises as `Bucket` and `FileSystem`."""
     return Bucket(url) if scheme_of(url) in READ_SCHEMES else FileSystem(url)
 
 
-class FileSystem:
-    """A folder of any file system that fsspec knows, to read; as `Bucket`."""
+class FileSystem(Files):
+    """A folder of any file system that fsspec knows, to read."""
+
+    tries, keys = TRIES, "HF_TOKEN"
 
     def __init__(self, url: str) -> None:
         """Raise MissingExtra without fsspec, or ArticugenError without what it wants for this file
@@ -53,7 +55,7 @@ class FileSystem:
                 f"{url}: no object store is called so; give {known}, or what else fsspec knows"
             )
         try:
-            found = _tried(lambda: fsspec.core.url_to_fs(self.url), self.url)
+            found = self._tried("", lambda: fsspec.core.url_to_fs(self.url))
         except ImportError as error:
             package = _PACKAGES.get(scheme)
             cure = f"run: pip install {package}" if package else str(error)
@@ -62,56 +64,35 @@ class FileSystem:
             raise InvalidArgument(f"{url}: {error}") from None
         if found is None:
             raise InvalidArgument(f"{url}: there is no such folder")
-        self._fs, self._root = found
+        self._fs, self._root = found[0], found[1].rstrip("/")
 
-    def read(self, name: str) -> bytes | None:
-        """Return a file's bytes; None where there is none.
+    def _read(self, name: str) -> bytes:
+        return self._fs.cat_file(f"{self._root}/{name}")
 
-        Raises:
-            MachineFault: the file system does not answer; so all others.
-            ArticugenError: it refuses; so all others.
-        """
-        return self._tried(name, self._fs.cat_file)
+    def _size(self, name: str) -> int:
+        return self._fs.size(f"{self._root}/{name}")
 
-    def size(self, name: str) -> int | None:
-        """Bytes of a file; None where there is none."""
-        return self._tried(name, self._fs.size)
+    def _ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
+        # without a cache, which would read megabytes ahead
+        with self._fs.open(f"{self._root}/{name}", "rb", cache_type="none") as file:
+            return [_part(file, at, size) for at, size in spans]
 
-    def ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes] | None:
-        """Parts of a file, each by its first byte and length; None where there is no such file."""
-
-        def read(path: str) -> list[bytes]:
-            # without a cache, which would read megabytes ahead
-            with self._fs.open(path, "rb", cache_type="none") as file:
-                return [_part(file, at, size) for at, size in spans]
-
-        return self._tried(name, read)
-
-    def _tried(self, name: str, act: Any) -> Any:
-        path = f"{self._root.rstrip('/')}/{name}"
-        return _tried(lambda: act(path), f"{self.url}/{name}")
-
-
-def _tried(act: Callable[[], Any], where: str) -> Any:
-    return tried(act, where, _answer, cure="see to the keys, HF_TOKEN and the like", times=TRIES)
+    def _answer(self, error: Exception) -> Answer:
+        """Say what an error of an implementation means: they raise what they like."""
+        response = getattr(error, "response", None)
+        status = getattr(error, "status", None) or getattr(response, "status_code", None)
+        if isinstance(error, PermissionError) or status in _REFUSED:
+            return Answer.REFUSED
+        if isinstance(error, FileNotFoundError) or status in _ABSENT:
+            return Answer.ABSENT
+        if isinstance(error, ImportError | ValueError | TypeError):
+            return Answer.NONSENSE
+        return Answer.SILENCE
 
 
 def _part(file: Any, at: int, size: int) -> bytes:
     file.seek(at)
     return file.read(size)
-
-
-def _answer(error: Exception) -> Answer:
-    """What an error of an implementation says: they raise what they like."""
-    response = getattr(error, "response", None)
-    status = getattr(error, "status", None) or getattr(response, "status_code", None)
-    if isinstance(error, PermissionError) or status in _REFUSED:
-        return Answer.REFUSED
-    if isinstance(error, FileNotFoundError) or status in _ABSENT:
-        return Answer.ABSENT
-    if isinstance(error, ImportError | ValueError | TypeError):
-        return Answer.NONSENSE
-    return Answer.SILENCE
 
 
 class RangeFile(io.RawIOBase):
