@@ -344,8 +344,11 @@ FAULTS = {
         "distances",
         lambda r: edited(r, "near_distance", lambda d: np.clip(1.5 * d, -0.1, 0.1)),
     ),
-    "long normal at an edge": ("sharp", lambda r: edited(r, "sharp_normals", put(3, (127, 20, 0)))),
-    "edge of no part": ("sharp", lambda r: edited(r, "sharp_part", put(3, 2))),
+    "long normal at an edge": (
+        "normals",
+        lambda r: edited(r, "sharp_normals", put(3, (127, 20, 0))),
+    ),
+    "edge of no part": ("labels", lambda r: edited(r, "sharp_part", put(3, 2))),
     "image of no part": ("images", lambda r: edited(r, "image_part", lambda p: 3 * (p > 0))),
     "images of other poses": ("images", lambda r: edited(r, "image_rgba", lambda i: i[::-1])),
     "images too far": ("images", lambda r: edited(r, "image_depth", lambda d: 1.5 * d)),
@@ -362,7 +365,8 @@ def test_fault_is_found(apart, what):
 
 
 def test_every_check_has_a_fault():
-    assert {check for check, _ in FAULTS.values()} == {"counts", *extras.CHECKS}
+    told = {check for check, _ in FAULTS.values()}
+    assert told == {"counts", "labels", "normals", *extras.CHECKS}
 
 
 def test_what_was_not_asked_for_is_a_fault(apart):

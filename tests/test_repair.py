@@ -23,7 +23,8 @@ from articugen.pipeline.job import Job
 from articugen.store import chunks, croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.writer import copy_user_group
-from articugen.verify.dataset import Finding, Repair, Report, verify
+from articugen.verify.dataset import Repair, Report, verify
+from articugen.verify.invariants import Finding
 from articugen.verify.repair import repair
 from tests.chaos.corruptions import RECIPE
 

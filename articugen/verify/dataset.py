@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
 from articugen.store.outcome import ObjectEntry, ShardEntry
 from articugen.store.shards import Shard, content_sha256, instance_sha256, open_shard
-from articugen.verify.invariants import faults
+from articugen.verify.invariants import Finding, faults
 
 WELCOME = (".png", ".html")
 """Endings of files that may lie beside the shards."""
@@ -39,30 +39,6 @@ WELCOME = (".png", ".html")
 MENDED = ("missing", "checksum", "schema", "unreadable", "attributes", "content")
 """What a shard made again is rid of; numbers that are wrong in a file that is as it was made stay
 wrong."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong.
-
-    Attributes:
-        check: what was looked at, for instance "checksum" or "zero level".
-        sentence: what is wrong.
-        shard: the name of the file, or "" where the finding concerns the data set.
-        object_id: or "".
-        state_index: of the instance, or None.
-    """
-
-    check: str
-    sentence: str
-    shard: str = ""
-    object_id: str = ""
-    state_index: int | None = None
-
-    def __str__(self) -> str:
-        state = "" if self.state_index is None else f"[{self.state_index}]"
-        where = " ".join(part for part in (self.shard, self.object_id + state) if part)
-        return spelt_out(f"{where and f'{where}: '}{self.check}: {self.sentence}")
 
 
 @dataclass(frozen=True)
@@ -351,4 +327,4 @@ def _geometry_findings(
         yield Finding("numbers", str(error), name, object_id)
         return
     for fault in faults(rows, recipe):
-        yield Finding(fault.check, fault.sentence, name, object_id, fault.state_index)
+        yield replace(fault, shard=name, object_id=object_id)

@@ -71,17 +71,18 @@ def _labels(row: Instance, recipe: Recipe) -> Iterator[str]:
         known = label[label != ENCLOSED] if enclosed else label
         if known.size and known.max() > parts:
             yield f"{name} has label {known.max()} of {parts} parts"
-    for name in ("surface_part", "partial_part"):
+    for name in ("surface_part", "sharp_part", "partial_part"):
         part = getattr(row, name)
-        if part.size and part.max() >= parts:
+        if part is not None and part.size and part.max() >= parts:
             yield f"{name} has part {part.max()} of {parts} parts"
 
 
 def _normals(row: Instance, _: Recipe) -> Iterator[str]:
-    length = np.linalg.norm(row.surface_normals / 127.0, axis=1)
-    off = TOLERANCES["normal"].exceeded_by(np.abs(length - 1.0))
-    if off.any():
-        yield f"{off.sum()} surface normals are not of unit length ({length[off][0]:.3f})"
+    for stem, normals in (("surface", row.surface_normals), ("sharp", row.sharp_normals)):
+        length = np.ones(0) if normals is None else np.linalg.norm(normals / 127.0, axis=1)
+        off = TOLERANCES["normal"].exceeded_by(np.abs(length - 1.0))
+        if off.any():
+            yield f"{off.sum()} {stem} normals are not of unit length ({length[off][0]:.3f})"
 
 
 def _joint_range(row: Instance, _: Recipe) -> Iterator[str]:

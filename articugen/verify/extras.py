@@ -1,4 +1,4 @@
-"""What only some recipes ask for: distances, sharp edges, images; right to their last digits."""
+"""What only some recipes ask for: distances, images; right to their last digits."""
 
 from collections.abc import Callable, Iterator
 
@@ -33,16 +33,6 @@ def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
         reach = np.linalg.norm(surface[nearest[there]] - points[there], axis=1)
         if TOLERANCES["distance"].exceeded_by(np.abs(far[::step][there]) - reach).any():
             yield f"{stem}_distance is greater than that to a surface point"
-
-
-def sharp(row: Instance, _: Recipe) -> Iterator[str]:
-    if row.sharp_normals is None or row.sharp_part is None:
-        return
-    off = np.abs(np.linalg.norm(row.sharp_normals / 127.0, axis=1) - 1.0)
-    if TOLERANCES["normal"].exceeded_by(off).any():
-        yield "sharp_normals are not of unit length"
-    if row.sharp_part.size and row.sharp_part.max() >= len(row.part_motion):
-        yield f"sharp_part has part {row.sharp_part.max()} of {len(row.part_motion)} parts"
 
 
 def images(row: Instance, recipe: Recipe) -> Iterator[str]:
@@ -85,6 +75,5 @@ def _seen_by(row: Instance, view: int) -> Floats:
 
 CHECKS: dict[str, Callable[[Instance, Recipe], Iterator[str]]] = {
     "distances": distances,
-    "sharp": sharp,
     "images": images,
 }

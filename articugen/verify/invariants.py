@@ -10,6 +10,7 @@ few samples never are. All thresholds and their margins are in `bounds.py`.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from articugen.core.errors import spelt_out
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
 from articugen.verify import extras
@@ -18,15 +19,30 @@ from articugen.verify.sampled import SHARE_CHECKS, Samples, Share, flow_shares
 
 
 @dataclass(frozen=True)
-class Fault:
-    """One thing that is wrong; `state_index` is None where it concerns the whole object."""
+class Finding:
+    """One thing that is wrong.
 
-    state_index: int | None
+    Attributes:
+        check: what was looked at, for instance "checksum" or "zero level".
+        sentence: what is wrong.
+        shard: the name of the file, or "" where the finding concerns the data set.
+        object_id: or "".
+        state_index: of the instance, or None.
+    """
+
     check: str
     sentence: str
+    shard: str = ""
+    object_id: str = ""
+    state_index: int | None = None
+
+    def __str__(self) -> str:
+        state = "" if self.state_index is None else f"[{self.state_index}]"
+        where = " ".join(part for part in (self.shard, self.object_id + state) if part)
+        return spelt_out(f"{where and f'{where}: '}{self.check}: {self.sentence}")
 
 
-def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Fault]:
+def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Finding]:
     """Everything wrong with `rows`, all instances of one object made by `recipe`."""
     sensible = []
     for row in rows:
@@ -36,7 +52,9 @@ def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Fault]:
         sensible += [] if wrong else [row]
     yield from _refused(shares(sensible, recipe))
     for check, judge in OBJECT_CHECKS.items():
-        yield from (Fault(state, check, sentence) for state, sentence in judge(rows, recipe))
+        yield from (
+            Finding(check, sentence, state_index=state) for state, sentence in judge(rows, recipe)
+        )
 
 
 def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str, Share]]:
@@ -50,19 +68,23 @@ def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str,
             yield from ((row.state_index, "flow", share) for share in flow_shares(seen, canonical))
 
 
-def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Fault]:
+def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Finding]:
     """The instances whose shares are refused, and the object where only all of them together
     tell."""
     alike: dict[tuple[str, str], list[tuple[int, Share]]] = {}
     for state, check, share in found:
         alike.setdefault((check, share.sentence), []).append((state, share))
     for (check, sentence), several in alike.items():
-        alone = [Fault(state, check, s.in_words()) for state, s in several if s.is_refused]
+        alone = [
+            Finding(check, s.in_words(), state_index=state) for state, s in several if s.is_refused
+        ]
         agree, judged = (sum(getattr(s, n) for _, s in several) for n in ("agree", "judged"))
         pooled = Share(several[0][1].bound, sentence, agree, judged)
-        yield from alone or ([Fault(None, check, pooled.in_words())] if pooled.is_refused else [])
+        yield from alone or ([Finding(check, pooled.in_words())] if pooled.is_refused else [])
 
 
-def _of(row: Instance, recipe: Recipe, checks: dict[str, InstanceCheck]) -> Iterator[Fault]:
+def _of(row: Instance, recipe: Recipe, checks: dict[str, InstanceCheck]) -> Iterator[Finding]:
     for check, judge in checks.items():
-        yield from (Fault(row.state_index, check, sentence) for sentence in judge(row, recipe))
+        yield from (
+            Finding(check, sentence, state_index=row.state_index) for sentence in judge(row, recipe)
+        )

@@ -28,7 +28,8 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.outcome import ObjectEntry, ShardEntry
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
 from articugen.store.writer import copy_user_group
-from articugen.verify.dataset import MENDED, Finding, Repair, Report, text_findings, verify
+from articugen.verify.dataset import MENDED, Repair, Report, text_findings, verify
+from articugen.verify.invariants import Finding
 from articugen.verify.rebuild import rebuild
 from articugen.verify.replay import made_elsewhere
 

@@ -16,7 +16,7 @@ from articugen.store.manifest import Manifest
 from articugen.store.provenance import library_versions, this_machine
 from articugen.store.shards import open_shard
 from articugen.verify.bounds import BEHIND, IN_FRONT, on_level
-from articugen.verify.dataset import Finding
+from articugen.verify.invariants import Finding
 
 
 def replay(folder: Path, count: int) -> Iterator[Finding | None]:
