@@ -11,7 +11,7 @@ from articugen.core import plugins
 from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
 from articugen.evaluation.results import read_evaluation
 from articugen.learning import commands
-from articugen.learning.method import find_method, load_recipe, method_names
+from articugen.learning.method import find_method, load_recipe
 from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
 
 BOXES = {"train": 3, "test": 1, "states": 2}
@@ -51,11 +51,12 @@ def articugen(*arguments: object) -> str:
 
 
 def test_a_method_of_another_package_is_found_by_its_entry_point(tmp_path):
-    assert {"nearest", "ppd"} <= set(method_names())
     assert find_method("nearest").name == "nearest"
     assert load_recipe(tmp_path / "mine.yaml").method == "nearest"
     assert load_recipe().name == "ppd_quick"
-    with pytest.raises(InvalidRecipe, match="no method 'nearst'; did you mean 'nearest'"):
+    with pytest.raises(
+        InvalidRecipe, match=r"'nearst'; did you mean 'nearest'\?; there are: bae, .*ppd.*"
+    ):
         find_method("nearst")
     with pytest.raises(BrokenPlugin, match=r"package nearest: .*'broken' .* cannot be loaded"):
         find_method("broken")

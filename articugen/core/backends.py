@@ -6,7 +6,6 @@ docs/extending.md.
 """
 
 import importlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -127,12 +126,10 @@ BACKENDS: dict[str, Backend] = {
 }
 """By the name that recipes give (`views.backend`); the first one is the default."""
 
-_OTHERS = plugins.Group("articugen.backends", ("render", "render_parts", "overlay_on"))
-
-
-def names() -> Sequence[str]:
-    """Of all backends, ours and other packages'."""
-    return (*BACKENDS, *_OTHERS.names(tuple(BACKENDS)))
+_TABLE = plugins.Table(
+    "articugen.backends", BACKENDS, ("render", "render_parts", "overlay_on"), "backend", ValueError
+)
+names = _TABLE.names
 
 
 def check_name(name: str) -> str:
@@ -149,4 +146,4 @@ def check_name(name: str) -> str:
 def backend_named(name: str) -> Backend:
     """Return the backend of that name, ours or a package's; BrokenPlugin if that is unusable."""
     check_name(name)
-    return BACKENDS[name] if name in BACKENDS else _OTHERS.load(name)
+    return _TABLE.load(name)

@@ -5,37 +5,61 @@ loaded is loaded, and of the rest one sentence is logged, which Python prints wh
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from articugen.core.errors import BrokenPlugin, machine_fault, printable
+from articugen.core.yaml_files import nearest
 
 _LOG = logging.getLogger("articugen")
 
 
-@dataclass(frozen=True)
-class Group:
-    """A group of entry points, "articugen.readers" say, and the attributes that each object must
-    have."""
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Things of a kind by name: ours, and those that other packages add.
 
-    name: str
+    Attributes:
+        group: of their entry points, "articugen.readers" say.
+        ours: which nobody replaces: each itself, or where it is, as `<module>:<attribute>`.
+        needs: the attributes that each of theirs must have.
+        kind: what one is called in sentences.
+        refusal: is raised where there is none of a name.
+    """
+
+    group: str
+    ours: Mapping[str, Any]
     needs: tuple[str, ...]
+    kind: str
+    refusal: type[Exception]
 
-    def names(self, ours: Sequence[str] = ()) -> tuple[str, ...]:
-        """Of all that are installed, but those that are `ours`, which nobody replaces."""
-        return tuple(_found(self.name, tuple(ours)))
+    def names(self) -> tuple[str, ...]:
+        """Of all, ours and other packages'."""
+        return (*self.ours, *_found(self.group, tuple(self.ours)))
+
+    def check(self, name: str) -> None:
+        """Raise the refusal, which lists all, where there is none of that name."""
+        if name in self.ours or name in self.names():
+            return
+        there = list(filter(None, self.names()))
+        raise self.refusal(
+            f"no {self.kind} {name!r}{nearest(name, there)}; there are: {', '.join(there)}"
+        )
 
     def load(self, name: str) -> Any:
-        """Return the object of that name; BrokenPlugin, with the package, if it cannot be imported
-        or lacks what it needs, or MachineFault or MemoryError."""
-        return _load(self, _installed(self.name)[name])
+        """Return the one of that name; or the refusal if there is none, BrokenPlugin, with the
+        package, if it cannot be imported or lacks what it needs, MachineFault or MemoryError."""
+        self.check(name)
+        if name not in self.ours:
+            return _load(self, _installed(self.group)[name])
+        own = self.ours[name]
+        return EntryPoint(name, own, self.group).load() if isinstance(own, str) else own
 
-    def load_all(self, ours: Sequence[str] = ()) -> dict[str, Any]:
-        """All that can be loaded, by name, but those that are `ours`; what cannot is logged."""
-        return _load_all(self, tuple(ours))
+    def load_all(self) -> dict[str, Any]:
+        """All of other packages that can be loaded, by name; what cannot is logged."""
+        return _load_all(self, tuple(self.ours))
 
 
 def forget() -> None:
@@ -73,8 +97,8 @@ def _leave_out(point: EntryPoint, other: str) -> None:
 
 
 @cache
-def _load(group: Group, point: EntryPoint) -> Any:
-    where = f"package {_package(point)}: its entry point {point.name!r} of {group.name}"
+def _load(table: Table, point: EntryPoint) -> Any:
+    where = f"package {_package(point)}: its entry point {point.name!r} of {table.group}"
     try:
         loaded = point.load()
     except Exception as error:  # whatever a stranger's module raises as it is imported
@@ -82,7 +106,7 @@ def _load(group: Group, point: EntryPoint) -> Any:
         raise machine_fault(error) or BrokenPlugin(
             f"{where} cannot be loaded ({reason}); mend or uninstall it"
         ) from error
-    missing = [name for name in group.needs if not hasattr(loaded, name)]
+    missing = [name for name in table.needs if not hasattr(loaded, name)]
     if missing:
         raise BrokenPlugin(
             f"{where} is {point.value}, which has no {', '.join(missing)}; mend or uninstall it"
@@ -91,11 +115,11 @@ def _load(group: Group, point: EntryPoint) -> Any:
 
 
 @cache
-def _load_all(group: Group, ours: tuple[str, ...]) -> dict[str, Any]:
+def _load_all(table: Table, ours: tuple[str, ...]) -> dict[str, Any]:
     usable = {}
-    for name, point in _found(group.name, ours).items():
+    for name, point in _found(table.group, ours).items():
         try:
-            usable[name] = _load(group, point)
+            usable[name] = _load(table, point)
         except BrokenPlugin as broken:
             _LOG.warning("%s", broken)
     return usable

@@ -2,11 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from importlib.metadata import EntryPoint
 
 from articugen.core import plugins
 from articugen.core.errors import InvalidArgument
-from articugen.core.yaml_files import nearest
 from articugen.export.items import Item, Options
 from articugen.export.target import Target
 from articugen.store.dataset import DataSet
@@ -20,7 +18,14 @@ FORMATS = {
 }  # fmt: skip
 """Where each format is, by the name that `--to` takes."""
 
-_OTHERS = plugins.Group("articugen.formats", ("what", "items", "write", "takes", "needs"))
+_TABLE = plugins.Table(
+    "articugen.formats",
+    FORMATS,
+    ("what", "items", "write", "takes", "needs"),
+    "format",
+    InvalidArgument,
+)
+names = _TABLE.names
 
 
 @dataclass(frozen=True)
@@ -44,21 +49,10 @@ class Format:
     needs: tuple[tuple[str, str], ...] = field(default=())
 
 
-def names() -> tuple[str, ...]:
-    """Return the names of all formats, ours and other packages'."""
-    return (*FORMATS, *_OTHERS.names(tuple(FORMATS)))
-
-
 def format_named(name: str) -> Format:
     """Return the format of that name; InvalidArgument, which lists all, if there is none,
     BrokenPlugin if it is another package's and cannot be used."""
-    if name in FORMATS:
-        return EntryPoint(name, FORMATS[name], _OTHERS.name).load()
-    if name not in names():
-        raise InvalidArgument(
-            f"no format {name!r}{nearest(name, list(names()))}; there are: {', '.join(names())}"
-        )
-    return _OTHERS.load(name)
+    return _TABLE.load(name)
 
 
 def options_for(name: str, **options: object) -> Options:

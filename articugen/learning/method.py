@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from articugen.core.errors import InvalidRecipe
-from articugen.core.plugins import Group
-from articugen.core.yaml_files import find, nearest, resolved, resolved_mapping, validated
+from articugen.core.plugins import Table
+from articugen.core.yaml_files import find, resolved, resolved_mapping, validated
 from articugen.learning.recipe import TrainRecipe
 
 if TYPE_CHECKING:
@@ -42,7 +42,9 @@ METHODS = {
 
 DEFAULT = "ppd"
 
-_OTHERS = Group("articugen.methods", needs=("name", "recipe", "Settings", "start"))
+_TABLE = Table(
+    "articugen.methods", METHODS, ("name", "recipe", "Settings", "start"), "method", InvalidRecipe
+)
 
 Terms = dict[str, "torch.Tensor"]
 """What an iteration minimised: scalars by name, weighted."""
@@ -152,16 +154,11 @@ class Method(Protocol):
             seed: decides its weights, whatever the device; any integer below 2^63.
             device: `meta` asks for shapes alone, to compare a stored state with.
         """
-        return _at(self.learner)(settings, seed, device)
+        return EntryPoint("", self.learner, "").load()(settings, seed, device)
 
     def yardsticks(self) -> Mapping[str, Yardstick]:
         """Return the other ways it is measured, by protocol; `paper` is there for all."""
         return {}
-
-
-def method_names() -> list[str]:
-    """Return the names of all methods."""
-    return sorted((*METHODS, *_OTHERS.names(tuple(METHODS))))
 
 
 def find_method(name: str) -> Method:
@@ -172,19 +169,7 @@ def find_method(name: str) -> Method:
         MissingExtra: it needs a library that is not installed.
         BrokenPlugin: it is another package's and cannot be used.
     """
-    names = method_names()
-    if name not in names:
-        raise InvalidRecipe(
-            f"no method {name!r}{nearest(name, names)}; there are: {', '.join(names)}"
-        )
-    if name in METHODS:
-        return _at(METHODS[name])
-    return _OTHERS.load(name)
-
-
-def _at(place: str) -> Any:
-    """Import what is at a place, `<module>:<attribute>`."""
-    return EntryPoint("", place, _OTHERS.name).load()
+    return _TABLE.load(name)
 
 
 def load_recipe(

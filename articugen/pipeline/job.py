@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ from articugen.core import plugins
 from articugen.core.errors import InvalidArgument, InvalidRecipe, printable
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe, check_category
-from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Bucket, Remote
 
 _HERE = "articugen.pipeline.executors"
@@ -21,7 +19,13 @@ EXECUTORS = {
 }
 """The classes of executors, by the scheme of `--scheduler`; "" is this machine."""
 
-_OTHERS = plugins.Group("articugen.executors", ("of", "records", "width", "ends"))
+_TABLE = plugins.Table(
+    "articugen.executors",
+    EXECUTORS,
+    ("of", "records", "width", "ends"),
+    "scheduler",
+    InvalidArgument,
+)
 
 
 @dataclass(frozen=True)
@@ -101,16 +105,7 @@ class Job:
             InvalidArgument: there is none of that scheme; names those that there are.
             BrokenPlugin: it is another package's and cannot be used.
         """
-        scheme = self.scheduler.partition(":")[0]
-        if scheme in EXECUTORS:
-            return EntryPoint(scheme, EXECUTORS[scheme], _OTHERS.name).load()
-        schemes = [*filter(None, EXECUTORS), *_OTHERS.names(tuple(EXECUTORS))]
-        if scheme not in schemes:
-            raise InvalidArgument(
-                f"no scheduler {self.scheduler!r}{nearest(scheme, schemes)}; an address begins "
-                f"with one of: {', '.join(schemes)}"
-            )
-        return _OTHERS.load(scheme)
+        return _TABLE.load(self.scheduler.partition(":")[0])
 
     @property
     def is_shared(self) -> bool:

@@ -17,7 +17,6 @@ import numpy as np
 from articugen.core import plugins
 from articugen.core.errors import ArticugenError, InvalidSource, machine_fault, printable
 from articugen.core.records import ArticulatedObject
-from articugen.core.yaml_files import nearest
 from articugen.meshes.model_files import MAX_NAME_BYTES
 from articugen.sources import (
     annotated_urdf,
@@ -92,32 +91,22 @@ READERS: dict[str, Reader] = {
 
 UNWRITABLE = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")  # what no manifest can hold of a path
 
-_OTHERS = plugins.Group("articugen.readers", ("detect", "find", "load"))
-
-
-def names() -> tuple[str, ...]:
-    """Of all readers, ours and other packages'."""
-    return (*READERS, *_OTHERS.names(tuple(READERS)))
-
-
-def check_name(name: str) -> None:
-    """Raise InvalidSource where there is no reader of that name."""
-    if name not in READERS and name not in names():
-        hint = nearest(name, list(names()))
-        raise InvalidSource(f"no reader {name!r}{hint}; there are: {', '.join(names())}")
+_TABLE = plugins.Table(
+    "articugen.readers", READERS, ("detect", "find", "load"), "reader", InvalidSource
+)
+names, check_name = _TABLE.names, _TABLE.check
 
 
 def reader(name: str) -> Reader:
     """Return the reader of that name; InvalidSource if there is none, BrokenPlugin if it is another
     package's and cannot be used."""
-    check_name(name)
-    return READERS[name] if name in READERS else _OTHERS.load(name)
+    return _TABLE.load(name)
 
 
 def detect(path: Path) -> Found | None:
     """Return the model that a file or folder is, by the first reader that says so; InvalidSource
     where one fails at it."""
-    for name, layout in (READERS | _OTHERS.load_all(tuple(READERS))).items():
+    for name, layout in (READERS | _TABLE.load_all()).items():
         with _examining(name, path):
             model = layout.detect(path)
         if model:
