@@ -27,7 +27,7 @@ from articugen.pipeline.options import ObjectReport
 dask = pytest.importorskip("dask", reason="dask is not installed")
 distributed = pytest.importorskip("distributed", reason="distributed is not installed")
 
-MANY = TINY.with_counts(objects=6, states=0)
+MANY = TINY.with_options(objects=6, states=0)
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +106,10 @@ def test_one_worker_is_killed_and_one_is_cut_off(local: Any, tmp_path: Path) -> 
         ):
             job_there = replace(work.work.job, out=folder)
             other = Elsewhere(replace(work.work, job=job_there), code, patience=0.0)
-            with pytest.raises(ArticugenError, match=sentence):
-                list(cluster.each(other, [nobody], address=address, notice=lambda _: None))
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(Elsewhere, "of", lambda _, other=other: other)
+                with pytest.raises(ArticugenError, match=sentence):
+                    list(cluster.Dask(address).ends(other.work, [nobody], lambda _: None))
     here, _ = made(job(tmp_path / "here", recipe=MANY))
     assert manifest.content_sha256 == here.content_sha256
     assert contents(out) == contents(tmp_path / "here")

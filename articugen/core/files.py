@@ -94,11 +94,6 @@ def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryI
     return os.fdopen(handle, "rb")
 
 
-def is_no_folder(path: Path) -> bool:
-    """Return whether something is there that is no folder; a link is none."""
-    return os.path.lexists(path) and (path.is_symlink() or not path.is_dir())
-
-
 def is_plain_file(path: Path) -> bool:
     """Return whether a regular file is there, no link to one."""
     return path.is_file() and not path.is_symlink()

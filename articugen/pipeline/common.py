@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import count
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -93,51 +93,35 @@ def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str
     """Add a shard's name for each other key: that of its place, or one that is free."""
     names, taken = dict(names), set(names.values())
     of_place = shard_names(key.name for key in keys)
-    homeless: list[Key] = []
     for key in keys:
-        new = of_place[key.name]
-        if key in names:
-            continue
-        if new in taken:
-            homeless.append(key)
-        else:
-            names[key] = new
-            taken.add(new)
-    for key in homeless:
-        places = (f"{key.split}-{number:05d}.h5" for number in count())
-        names[key] = next(name for name in places if name not in taken)
-        taken.add(names[key])
+        if key not in names and of_place[key.name] not in taken:
+            names[key] = of_place[key.name]
+            taken.add(names[key])
+    for key in keys:
+        if key not in names:
+            places = (f"{key.split}-{number:05d}.h5" for number in count())
+            names[key] = next(name for name in places if name not in taken)
+            taken.add(names[key])
     return names
 
 
-def reasons_to_replace(
-    outcomes: Mapping[Name, Outcome], wanted: Mapping[Name, Key]
-) -> Counter[str]:
-    """Count why shards of an earlier run are not what a run for these keys wants."""
-    reasons = Counter[str]()
+def differences(
+    outcomes: Mapping[Name, Outcome],
+    wanted: Mapping[Name, Key],
+    names: Mapping[Name, str] | None = None,
+) -> Iterator[tuple[Name, str]]:
+    """Yield the objects whose shards are not what a run for these keys wants, and why. Of those who
+    share out the objects, which may want more than these, `names` are all shards' names."""
     for name, outcome in outcomes.items():
         if outcome.shard is None:
             continue
-        key = wanted.get(name)
-        reason = key.difference(outcome.key) if key else "this run does not ask for it"
-        if reason is not None:
-            reasons[reason] += 1
-    return reasons
-
-
-def what_differs(
-    outcomes: Mapping[Name, Outcome], wanted: Mapping[Name, Key], names: Mapping[Name, str]
-) -> str | None:
-    """Name a shard that is another than those who share out the objects would make."""
-    for name, outcome in outcomes.items():
-        if outcome.shard is None:
-            continue
-        why = "its shard is called otherwise than ranks call it"
-        if outcome.shard.name == names.get(name):
-            why = wanted[name].difference(outcome.key) if name in wanted else None
-        if why is not None:
-            return f"{name[1]}, for one: {why}"
-    return None
+        why = "this run does not ask for it" if names is None else None
+        if names is not None and outcome.shard.name != names.get(name):
+            why = "its shard is called otherwise than ranks call it"
+        elif name in wanted:
+            why = wanted[name].difference(outcome.key)
+        if why:
+            yield name, why
 
 
 def record_in(ledger: Ledger, outcome: Outcome) -> None:
@@ -157,15 +141,3 @@ def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
     if outcome.fault is not None or key.difference(outcome.key):
         return None
     return outcome if not shard or bucket.size(shard.name) == shard.bytes else None
-
-
-def why_again(key: Key, outcome: Outcome | None, is_whole: Callable[[Outcome], bool]) -> str | None:
-    """Why an object must be made (again) of which `outcome` is known; None where that will do."""
-    if outcome is None:
-        return NEVER_MADE
-    if outcome.fault is not None:
-        return f"it failed ({outcome.fault.reason})"
-    difference = key.difference(outcome.key)
-    if difference is not None or outcome.shard is None:
-        return difference
-    return None if is_whole(outcome) else f"its shard {outcome.shard.name} is missing or altered"

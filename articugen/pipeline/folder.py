@@ -2,11 +2,10 @@
 
 import os
 import re
-from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
-from articugen.core.files import is_no_folder, is_plain_file, whole_name
+from articugen.core.files import is_plain_file, whole_name
 from articugen.core.ledger import LEDGER
 from articugen.pipeline.common import CommonPlan
 from articugen.store.croissant import NAME as CROISSANT_NAME
@@ -68,29 +67,6 @@ def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
     if called is None or about is None or int(called["number"]) >= about.objects:
         return False
     return is_shard_of_ours(folder, name, about)
-
-
-def foreign_files(
-    folder: Path,
-    names: Iterable[str],
-    trusted: Collection[str],
-    recorded: Collection[str],
-    about: CommonPlan | None,
-) -> list[str]:
-    """List those of the names where something is that no run of ours has put there.
-
-    Args:
-        trusted: names of shards that count: a damaged one, or a link, is itself replaced.
-        recorded: all names of shards that were recorded.
-    """
-    return [
-        name
-        for name in names
-        if os.path.lexists(folder / name)
-        and not (name in trusted and is_no_folder(folder / name))
-        and not (name in recorded and is_shard_of_ours(folder, name))
-        and not is_of_plan(folder, name, about)
-    ]
 
 
 def check_is_not_of_before(folder: Path) -> None:

@@ -203,8 +203,3 @@ def _attributes(job: Job, task: Task) -> dict[str, str | int]:
         "articugen_version": VERSION,
         "generator": task.key.generator,
     }
-
-
-def name_of(task: Task) -> str:
-    """Return what a task is called in what is said of it."""
-    return task.key.object_id

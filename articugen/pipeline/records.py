@@ -9,7 +9,8 @@ waits in the ledger until the next one is written.
 import fcntl
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
 from pydantic import ValidationError
@@ -25,20 +26,18 @@ from articugen.core.files import (
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder, Listed
 from articugen.pipeline.common import (
+    NEVER_MADE,
     CommonPlan,
     Name,
+    differences,
     key_of,
-    reasons_to_replace,
     record_in,
     recorded,
     shard_names,
-    what_differs,
-    why_again,
     with_free_names,
 )
 from articugen.pipeline.folder import (
     check_is_not_of_before,
-    foreign_files,
     is_of_plan,
     is_shard_of_ours,
     is_temporary,
@@ -154,9 +153,17 @@ class Records:
 
     def why(self, key: Key) -> str | None:
         """Return why the object must be made (again); None where what is there will do."""
-        if key.name not in self.outcomes and self.ledger.is_damaged(key_of(key.name)):
-            return "its record is damaged"
-        return why_again(key, self.outcomes.get(key.name), self._is_trusted)
+        outcome = self.outcomes.get(key.name)
+        if outcome is None:
+            is_damaged = self.ledger.is_damaged(key_of(key.name))
+            return "its record is damaged" if is_damaged else NEVER_MADE
+        if outcome.fault is not None:
+            return f"it failed ({outcome.fault.reason})"
+        difference = key.difference(outcome.key)
+        if difference is not None or outcome.shard is None:
+            return difference
+        is_whole = self._is_trusted(outcome)
+        return None if is_whole else f"its shard {outcome.shard.name} is missing or altered"
 
     def finished(self, key: Key) -> Outcome | None:
         """Return what became of the object, where that still holds: see `why`."""
@@ -174,12 +181,13 @@ class Records:
         """Return one sentence, where the place holds data that a run for `keys` would replace."""
         wanted = {key.name: key for key in keys}
         if self.is_shared:
-            why = what_differs(self.outcomes, wanted, self._names)
-            return why and (
-                f"{self.place}: holds shards of another data set ({why}), and processes that share "
-                "out objects replace nothing; choose another output folder"
+            first = next(differences(self.outcomes, wanted, self._names), None)
+            return first and (
+                f"{self.place}: holds shards of another data set ({first[0][1]}, for one: "
+                f"{first[1]}), and processes that share out objects replace nothing; choose "
+                "another output folder"
             )
-        reasons = reasons_to_replace(self.outcomes, wanted)
+        reasons = Counter(why for _, why in differences(self.outcomes, wanted))
         if not reasons:
             return None
         why = ", ".join(f"{count} since {reason}" for reason, count in reasons.most_common())
@@ -215,13 +223,9 @@ class Records:
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
-        trusted = {o.shard.name for o in self.outcomes.values() if o.shard}
-        about = self.agreed or self._about
-        if self._folder and (
-            foreign := foreign_files(self._folder, names, trusted, self._recorded, about)
-        ):
+        for name in self._foreign(names):
             raise ArticugenError(
-                f"{self.place}/{foreign[0]}: exists and was not made by an earlier run here; "
+                f"{self.place}/{name}: exists and was not made by an earlier run here; "
                 "move it away or choose another output folder"
             )
         text = self._about.model_dump_json().encode()
@@ -237,6 +241,22 @@ class Records:
             self.agreed, self.manifest = self._about, None
             self.place.delete([MANIFEST_NAME])
         self._has_begun = True
+
+    def _foreign(self, names: Iterable[str]) -> Iterator[str]:
+        """Yield the names where something is that no run of ours has put there. Where a shard
+        counts, a damaged one, or a link, is itself replaced."""
+        trusted = {o.shard.name for o in self.outcomes.values() if o.shard}
+        about, folder = self.agreed or self._about, self._folder
+        for name in names if folder else ():
+            assert folder
+            path = folder / name
+            if (
+                os.path.lexists(path)
+                and not (name in trusted and (path.is_symlink() or not path.is_dir()))
+                and not (name in self._recorded and is_shard_of_ours(folder, name))
+                and not is_of_plan(folder, name, about)
+            ):
+                yield name
 
     def record(self, outcome: Outcome) -> None:
         """Add a finished object. Its shard must be in place."""

@@ -56,42 +56,37 @@ class Dask(Executor):
     ) -> Generator[Ended[Outcome | None], None, None]:
         """Raise MissingExtra without distributed, MachineFault where no scheduler answers or it has
         gone, ArticugenError where a worker has other code or does not see the folder."""
-        return each(Elsewhere.of(work), tasks, address=self.address, notice=notice)
+        elsewhere = Elsewhere.of(work)
+        with _client(self.address) as client:
+            if not _threads(client):
+                start = f"start some with: dask worker {self.address}"
+                notice(f"{self.address} has no workers yet; {start}")
+            of = f"make-{uuid4().hex[:8]}"
+            numbers, running = iter(range(len(tasks))), dict[Any, int]()
+            queue = _distributed().as_completed(loop=client.loop)
 
+            width = _Width(client)
 
-def each(
-    work: Elsewhere, tasks: Sequence[Task], *, address: str, notice: Notice
-) -> Generator[Ended[Outcome | None], None, None]:
-    """Yield how tasks end, as they do; see `Dask.ends`."""
-    with _client(address) as client:
-        if not _threads(client):
-            notice(f"{address} has no workers yet; start some with: dask worker {address}")
-        of = f"make-{uuid4().hex[:8]}"
-        numbers, running = iter(range(len(tasks))), dict[Any, int]()
-        queue = _distributed().as_completed(loop=client.loop)
+            def hand_out() -> None:
+                while len(running) < _IN_FLIGHT * max(width.now(), _IN_FLIGHT):
+                    number = next(numbers, None)
+                    if number is None:
+                        return
+                    future = client.submit(
+                        _do, elsewhere, tasks[number], key=(of, number), pure=False, retries=RETRIES
+                    )
+                    running[future] = number
+                    queue.add(future)
 
-        width = _Width(client)
-
-        def hand_out() -> None:
-            while len(running) < _IN_FLIGHT * max(width.now(), _IN_FLIGHT):
-                number = next(numbers, None)
-                if number is None:
-                    return
-                future = client.submit(
-                    _do, work, tasks[number], key=(of, number), pure=False, retries=RETRIES
-                )
-                running[future] = number
-                queue.add(future)
-
-        try:
-            hand_out()
-            for future in queue:
-                number = running.pop(future)
-                yield _ended(future, number, address)
+            try:
                 hand_out()
-        finally:
-            with suppress(Exception):  # the scheduler may be gone, and with it the tasks
-                client.cancel(list(running), force=True)
+                for future in queue:
+                    number = running.pop(future)
+                    yield _ended(future, number, self.address)
+                    hand_out()
+            finally:
+                with suppress(Exception):  # the scheduler may be gone, and with it the tasks
+                    client.cancel(list(running), force=True)
 
 
 class _Width:

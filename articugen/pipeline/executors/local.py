@@ -2,15 +2,15 @@
 
 import tempfile
 from collections.abc import Generator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from articugen.core import processes
 from articugen.core.compiling import compile_kernels
+from articugen.core.processes import Ended
 from articugen.pipeline.executors.work import Executor, Notice, Work
 from articugen.pipeline.job import Job
-from articugen.pipeline.making import Task, import_stages, limit_of, name_of
+from articugen.pipeline.making import Task
 from articugen.store.outcome import Outcome
 
 
@@ -33,19 +33,10 @@ class Local(Executor):
 
     def ends(
         self, work: Work, tasks: Sequence[Task], notice: Notice
-    ) -> Generator[processes.Ended[Outcome | None], None, None]:
+    ) -> Generator[Ended[Outcome | None], None, None]:
         with ExitStack() as stack:
             if work.claim is not None:
                 aside = stack.enter_context(tempfile.TemporaryDirectory(prefix="articugen-"))
                 work = replace(work, aside=Path(aside))
-            each = processes.each(
-                work.done,
-                tasks,
-                workers=self.jobs,
-                limit=limit_of(work.job.recipe),
-                ready=import_stages,
-                handles=work.handles,
-                notice=notice,
-                name=name_of,
-            )
-            yield from stack.enter_context(closing(each))
+            crew = stack.enter_context(work.crew(min(self.jobs, len(tasks)), notice))
+            yield from crew.each(tasks)

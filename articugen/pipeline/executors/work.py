@@ -12,7 +12,7 @@ from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.processes import Crew, Ended
 from articugen.pipeline.common import key_of, record_in, recorded
 from articugen.pipeline.job import Job
-from articugen.pipeline.making import Task, import_stages, limit_of, make_object, name_of
+from articugen.pipeline.making import Task, import_stages, limit_of, make_object
 from articugen.store.bucket import Bucket
 from articugen.store.outcome import Outcome
 from articugen.store.provenance import code_version
@@ -43,9 +43,10 @@ class Work:
     aside: Path | None = None
 
     def done(self, task: Task) -> Outcome | None:
-        """Make one object; None where another process is at it. As `make_object`."""
+        """Make one object, unless it is known what became of it; None where another process is at
+        it. As `make_object`."""
         if self.claim is None:
-            return make_object(self.job, self.job.folder, task, self.check)
+            return task.known or make_object(self.job, self.job.folder, task, self.check)
         bucket, aside = self.job.place, self.aside
         assert isinstance(bucket, Bucket)
         assert aside is not None
@@ -64,6 +65,18 @@ class Work:
             (aside / task.shard).unlink(missing_ok=True)
             ledger.free(name)
         return outcome
+
+    def crew(self, workers: int, notice: Notice = lambda _: None) -> Crew[Task, Outcome | None]:
+        """Return processes of this machine that do it, watched by the recipe's limits."""
+        return Crew(
+            self.done,
+            workers=workers,
+            limit=limit_of(self.job.recipe),
+            ready=import_stages,
+            handles=self.handles,
+            notice=notice,
+            name=lambda task: task.key.object_id,
+        )
 
 
 @dataclass(frozen=True)
@@ -108,13 +121,7 @@ class Elsewhere:
                     "that all machines have under the same path"
                 )
             time.sleep(0.1)
-        return Crew(
-            self.work.done,
-            workers=1,
-            limit=limit_of(self.work.job.recipe),
-            ready=import_stages,
-            name=name_of,
-        )
+        return self.work.crew(1)
 
 
 class Executor(Protocol):
