@@ -21,7 +21,7 @@ from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
 from articugen.pipeline.plan import Plan
 from articugen.sources.source import Source
 from articugen.store.manifest import MANIFEST_NAME, Manifest
-from articugen.store.outcome import Outcome
+from articugen.store.outcome import Outcome, Rejection
 
 
 def sources_table(sources: Iterable[Source]) -> RenderableType:
@@ -101,23 +101,19 @@ def made_table(manifest: Manifest, folder: object) -> RenderableType:
             f"[yellow]no object is for {'training' if split == 'train' else 'testing'}: add "
             "models, or list ids of both splits in a source.yaml (docs/conventions.md)[/]",
         )
-    _add_left_out(table, manifest)
+    _add_left_out(table, manifest.failed, manifest.rejected, manifest.skipped)
     return Group(_title(manifest.category, folder), table)
 
 
-def share_table(outcomes: Iterable[Outcome]) -> RenderableType:
+def share_table(outcomes: Sequence[Outcome]) -> RenderableType:
     """Return what a rank leaves: how much of its share is made, and what is not and why."""
-    outcomes = tuple(outcomes)
     shards = [outcome.shard for outcome in outcomes if outcome.shard]
+    unmade = [[getattr(o, word) for o in outcomes] for word in ("failed", "rejected")]
     table = facts()
     table.add_row("objects", f"{len(shards)} made")
     table.add_row("instances", f"{sum(shard.instances for shard in shards):,}")
     table.add_row("size", size(sum(shard.bytes for shard in shards)))
-    for outcome in outcomes:
-        unmade = outcome.failed or outcome.rejected
-        if unmade:
-            word = "failed" if outcome.failed else "rejected"
-            table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(unmade.sentence)}[/]")
+    _add_left_out(table, *(list(filter(None, some)) for some in unmade))
     return table
 
 
@@ -126,17 +122,23 @@ def left_out(folder: Path) -> RenderableType:
     and CorruptShard where it is damaged."""
     table = facts()
     if (folder / MANIFEST_NAME).is_file():
-        _add_left_out(table, Manifest.read(folder))
+        manifest = Manifest.read(folder)
+        _add_left_out(table, manifest.failed, manifest.rejected, manifest.skipped)
     return table if table.row_count else Group()
 
 
-def _add_left_out(table: Table, manifest: Manifest) -> None:
+def _add_left_out(
+    table: Table,
+    failed: Sequence[Rejection],
+    rejected: Sequence[Rejection],
+    skipped: Sequence[Rejection] = (),
+) -> None:
     """A row for each object that failed or was rejected, and one for all that were skipped."""
-    for word, objects in (("failed", manifest.failed), ("rejected", manifest.rejected)):
+    for word, objects in (("failed", failed), ("rejected", rejected)):
         for each in objects:
             table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(each.sentence)}[/]")
-    for first in manifest.skipped[:1]:
-        count = counted(len(manifest.skipped), "object")
+    for first in skipped[:1]:
+        count = counted(len(skipped), "object")
         table.add_row("skipped", escape(f"{count}, such as {first.sentence}"))
 
 
@@ -174,17 +176,11 @@ def progress(console: Console, plan: Plan) -> Iterator[tuple[OnObject, OnNotice]
         ended = {"rejected": report.rejected, "skipped": report.skipped, "failed": report.failed}
         word = next((word for word, why in ended.items() if why is not None), "")
         made = f"{report.instances} instances in {duration(report.seconds)}"
-        console.print(
-            f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}: {word or made}",
-            soft_wrap=True,
-            markup=False,
-        )
-
-    def on_notice(sentence: str) -> None:
-        console.print(f"[yellow]{escape(sentence)}[/]", soft_wrap=True)
+        which = f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}"
+        say(f"{which}: {word or made}", to=console)
 
     with bar:
-        yield on_object, on_notice
+        yield on_object, lambda sentence: say((sentence, "yellow"), to=console)
 
 
 class _Rate(TextColumn):

@@ -4,11 +4,12 @@
 # ruff: noqa: PLC0415
 import json
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from articugen.cli.options import argument, offered
-from articugen.cli.saying import say, stderr, stdout
+from articugen.cli.saying import counting_bar, say, stderr, stdout
 from articugen.core.tables import counted, quiet_table
 from articugen.pipeline.options import option
 
@@ -84,24 +85,20 @@ def _agreement(objects: "ObjectGroups") -> str:
 
 
 def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":
-    from rich.progress import track
-
     from articugen.discovery import objects as found_joints
 
-    objects: list[ObjectJoints] = []
+    done = count(1)
 
-    def tell(found: "ObjectJoints", _: int) -> None:
+    def tell(found: "ObjectJoints", objects: int) -> None:
+        told(next(done), objects, found.object_id)
         if found.found is None:
             say((found.object_id, "bold"), f"  {found.why}")
         else:
             _print(found.object_id, found.found)
 
-    data = found_joints.open_data_set(path)
-    for object_id in track(
-        data.objects, "", console=stderr, transient=True, disable=not stderr.is_terminal
-    ):
-        one = data.of(object_id)
-        objects += found_joints.discover_all(one, poses=poses, joints=joints, on_object=tell)
+    with counting_bar() as told:
+        data = found_joints.open_data_set(path)
+        objects = found_joints.discover_all(data, poses=poses, joints=joints, on_object=tell)
     say(_summary(objects))
     return objects
 

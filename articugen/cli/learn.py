@@ -310,7 +310,7 @@ class _ProgressBar:
         is_over = before and before.partition(":")[0] != progress.said.partition(":")[0]
         if is_over and before not in self.kept:  # whichever of the seeds that race say so
             self.kept.add(before)
-            self.bar.console.print(before, soft_wrap=True)
+            say(before, to=self.bar.console)
         if progress.said:
             self.bar.update(task, state=f"{who}{progress.said}")
         if progress.terms:
@@ -320,4 +320,4 @@ class _ProgressBar:
         if progress.validation:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"
-            self.bar.console.print(line, soft_wrap=True)
+            say(line, to=self.bar.console)

@@ -91,17 +91,14 @@ def _parameter(one: Field[Any]) -> inspect.Parameter:
         shown = typer.Argument(**about)
     else:
         is_named = any(flag.startswith("--") for flag in flags)
-        shown = typer.Option(*(() if is_named else (f"--{_flag(one.name)}",)), *flags, **about)
+        flags = flags if is_named else (f"--{one.name.replace('_', '-')}", *flags)
+        shown = typer.Option(*flags, **about)
     return inspect.Parameter(
         one.name,
         inspect.Parameter.POSITIONAL_OR_KEYWORD,
         default=inspect.Parameter.empty if default is MISSING else default,
         annotation=Annotated[kind if default is not None else kind | None, shown],
     )
-
-
-def _flag(name: str) -> str:
-    return name.replace("_", "-")
 
 
 def _kind(one: Field[Any]) -> type:

@@ -22,6 +22,7 @@ from articugen.store.bucket import Files, Remote
 from articugen.store.manifest_pages import MOST_BYTES, Head, Page, head_in, page_of, stale_pages
 from articugen.store.outcome import Key, ObjectEntry, Outcome, Record, Rejection, Sha256, ShardEntry
 from articugen.store.provenance import code_version, library_versions, this_commit, this_machine
+from articugen.store.shards import content_sha256
 
 MANIFEST_NAME = "manifest.json"
 
@@ -171,27 +172,16 @@ class Manifest(Record):
 
     @staticmethod
     def of(
-        outcomes: Iterable[Outcome],
-        *,
-        category: str,
-        source: str,
-        licence: str,
-        recipe: str,
-        seed: int,
-        timings: Timings,
-        shortfall: str | None = None,
+        outcomes: Iterable[Outcome], *, recipe: str, shortfall: str | None = None, **about: Any
     ) -> "Manifest":
-        """The manifest of a finished run: of these outcomes, made here and now by this code."""
+        """The manifest of a finished run: of these outcomes, made here and now by this code. Given
+        besides are `category`, `source`, `licence`, `seed` and `timings`."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
-            category=category,
-            source=source,
-            licence=licence,
             recipe=recipe,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
-            seed=seed,
             articugen_version=code_version(),
             commit=this_commit(),
             versions=library_versions(),
@@ -203,7 +193,7 @@ class Manifest(Record):
             failed=tuple(o.failed for o in outcomes if o.failed),
             shortfall=shortfall,
             content_sha256=content_of(objects),
-            timings=timings,
+            **about,
         )
 
     @property
@@ -345,8 +335,7 @@ def _compact(value: Any) -> bytes:
 
 def content_of(objects: Iterable[ObjectEntry]) -> str:
     """The digest of a whole data set: over the sorted (split, object_id, content_sha256)."""
-    lines = sorted(f"{o.key.split}\x1f{o.key.object_id}\x1f{o.content_sha256}" for o in objects)
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return content_sha256((o.key.split, o.key.object_id, o.content_sha256) for o in objects)
 
 
 def _first_fault(error: ValidationError) -> str:

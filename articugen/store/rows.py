@@ -133,26 +133,21 @@ class _Cloud(_Group):
 
 
 class RowSurface(_Cloud):
-    """Surface points: `points` (S, 3) float32, unit frame, uniform by area; their `normals` (S, 3)
-    float32, outward, of unit length; the `part` (S,) each belongs to."""
+    """Surface points, see `Row.surface`."""
 
     normals: Float32
     part: Bytes
 
 
 class RowQueries(_Cloud):
-    """Query points: `points` (U, 3) float32, unit frame; `label` (U,) uint8: 0 free, k + 1 material
-    of part k, 255 enclosed; where the recipe asks for it, `distance` (U,) float32 from the surface,
-    below 0 inside."""
+    """Query points, see `Row.uniform`."""
 
     label: Bytes
     distance: Float32
 
 
 class RowPartial(_Cloud):
-    """Clouds of C depth cameras: `points` (C, M, 3) float32, unit frame; the `part` (C, M) of each;
-    `T_camera_world` (C, 4, 4) from the unit frame to the camera's; `intrinsics` (C, 4): fx, fy, cx,
-    cy in pixels."""
+    """Clouds of depth cameras, see `Row.partial`."""
 
     part: Bytes
     T_camera_world: Floats
@@ -160,9 +155,7 @@ class RowPartial(_Cloud):
 
 
 class RowImages(_Group):
-    """Stored images of V cameras: `depth` (V, H, H) float32, 0 where nothing is;
-    `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba` (V, H, H, 4) uint8;
-    `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx, fy, cx, cy."""
+    """Images, see `Row.images`."""
 
     depth: Float32
     part: Bytes
@@ -282,13 +275,14 @@ class Row:
     @cached_property
     def surface(self) -> RowSurface:
         """Points uniform by area over the visible surface: `points` (S, 3) float32, unit frame,
-        their outward `normals` (S, 3) of unit length, the `part` (S,) of each."""
+        their outward `normals` (S, 3) float32 of unit length, the `part` (S,) of each."""
         return RowSurface(self, "surface")
 
     @cached_property
     def uniform(self) -> RowQueries:
-        """Points uniform in the unit cube: `points` (U, 3) float32, unit frame; the `label` (U,) of
-        each, 0 free, k + 1 material of part k, 255 enclosed."""
+        """Points uniform in the unit cube: `points` (U, 3) float32, unit frame; the `label` (U,)
+        uint8 of each, 0 free, k + 1 material of part k, 255 enclosed; where the recipe asks for it,
+        the `distance` (U,) float32 from the surface, below 0 inside."""
         return RowQueries(self, "uniform")
 
     @cached_property
@@ -299,7 +293,8 @@ class Row:
     @cached_property
     def partial(self) -> RowPartial:
         """What C depth cameras see: `points` (C, M, 3) float32, unit frame, the `part` (C, M) of
-        each; `T_camera_world` (C, 4, 4) from the unit frame, `intrinsics` (C, 4) in pixels."""
+        each; `T_camera_world` (C, 4, 4) from the unit frame to the camera's, `intrinsics` (C, 4)
+        in pixels: fx, fy, cx, cy."""
         return RowPartial(self, "partial")
 
     @cached_property
@@ -309,8 +304,10 @@ class Row:
 
     @cached_property
     def images(self) -> RowImages:
-        """What V cameras see, (V, H, H) each: `depth`, `part`, `normal`, `rgba`; where the recipe
-        asks for images.views."""
+        """What V cameras see, where the recipe asks for images.views: `depth` (V, H, H) float32, 0
+        where nothing is; `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba`
+        (V, H, H, 4) uint8; `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx,
+        fy, cx, cy."""
         return RowImages(self, "image")
 
     @property

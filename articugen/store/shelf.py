@@ -112,20 +112,13 @@ class Shelf:
         self, path: Path | Remote, entries: tuple[_Entry, ...], manifest: Manifest | None
     ) -> None:
         self.path, self.entries, self.manifest = path, entries, manifest
-        self._forget()
-
-    def _forget(self) -> None:
         self._about: dict[int, tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]] = {}
         self._stored: dict[tuple[int, str], Column] = {}
         self._seen: dict[int, tuple[int, ...]] = {}
         self._handles: dict[int, Handle] = {}
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "entries": self.entries, "manifest": self.manifest}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._forget()
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Shelf, (self.path, self.entries, self.manifest)
 
     def about(self, shard: int) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, Attribute]]:
         """Return (N, ...) shapes of the data sets of a shard, and its attributes."""
