@@ -111,7 +111,7 @@ def data(name: str, folder: Path) -> str:
     if category == "boxes":
         source = str(folder / "cabinet.urdf")
     recipe = with_settings(load_recipe(folder / "tiny.yaml", category), SETS[name])
-    job = Job(source, category, recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0)
+    job = Job(source, category, recipe.with_options(objects=1), seed=0, out=folder / "out", jobs=0)
     return door.make(job).content_sha256
 
 
@@ -133,7 +133,7 @@ def exports(folder: Path) -> dict[str, str]:
     (folder / "tiny.yaml").write_text(RECIPE)
     recipe = with_settings(load_recipe(folder / "tiny.yaml", "laptop"), EXPORTED)
     job = Job(
-        "procedural", "laptop", recipe.with_counts(objects=1), seed=0, out=folder / "out", jobs=0
+        "procedural", "laptop", recipe.with_options(objects=1), seed=0, out=folder / "out", jobs=0
     )
     door.make(job)
     there = [n for n in FORMATS if all(find_spec(library) for library, _ in format_named(n).needs)]

@@ -31,7 +31,7 @@ def be(share: Share, out: Path, objects: int, moment: str) -> None:
         writer.sha256_of = die
     if moment == "record":
         Records.record = die
-    recipe = TINY.with_counts(objects=objects, states=0)
+    recipe = TINY.with_options(objects=objects, states=0)
     with started(job(out, recipe=recipe, share=share)) as run:
         run.finish(Local(0), die if moment == "object" else lambda _: None)
 
@@ -39,7 +39,7 @@ def be(share: Share, out: Path, objects: int, moment: str) -> None:
 if __name__ == "__main__":
     out, objects = Path(sys.argv[1]), int(sys.argv[2])
     with TemporaryDirectory() as folder:  # what is loaded before the fork is loaded once
-        door.make(job(Path(folder), recipe=TINY.with_counts(objects=1, states=0)))
+        door.make(job(Path(folder), recipe=TINY.with_options(objects=1, states=0)))
     for words in sys.argv[3:]:
         of, _, killed = words.partition(":")
         moments = dict(word.split("=") for word in killed.split(",") if word)

@@ -212,7 +212,7 @@ def test_too_little_memory_rejects_nothing(whole: Path, tmp_path: Path) -> None:
 def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: Path) -> None:
     """Far too little is refused before anything is written, too little told of; where the disk is
     full in the middle, both numbers are told, what is made is kept, and nothing half written."""
-    many = TINY.with_counts(objects=6, states=60)
+    many = TINY.with_options(objects=6, states=60)
     with small_disk(tmp_path / "disk", "200k") as disk:
         ours = job(disk / "out", recipe=many, jobs=2)
         both = r"about \d+\.\d MB on the disk, 0\.\d MB are free"
@@ -236,7 +236,7 @@ def test_what_a_run_needs_is_compared_with_what_is_free(whole: Path, tmp_path: P
 
 
 def test_an_object_over_its_time_is_rejected_until_it_may_take_more(tmp_path: Path) -> None:
-    long = TINY.with_counts(objects=1, states=60).model_copy(update={"max_rejected_fraction": 1.0})
+    long = TINY.with_options(objects=1, states=60).model_copy(update={"max_rejected_fraction": 1.0})
     hasty = job(
         tmp_path / "out", recipe=long.model_copy(update={"seconds_per_object": 1e-3}), jobs=1
     )

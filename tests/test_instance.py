@@ -72,7 +72,7 @@ stored points."""
 
 def recipe_for(category: str) -> Recipe:
     """The category's own recipe, with few states and samples that suit the tests."""
-    own = load_recipe(None, category).with_counts(states=STATES)
+    own = load_recipe(None, category).with_options(states=STATES)
     return own.model_copy(update={"sampling": SAMPLES})
 
 
@@ -331,7 +331,7 @@ def with_surface_only(category: str, k: int, folder: Path) -> Made:
     """One random pose, nothing but surface points."""
     nothing = dict.fromkeys(("uniform_points", "near_points", "partial_views"), 0)
     only = SAMPLES.model_copy(update={"grids": (), "surface_points": 1500, **nothing})
-    recipe = recipe_for(category).with_counts(states=1).model_copy(update={"sampling": only})
+    recipe = recipe_for(category).with_options(states=1).model_copy(update={"sampling": only})
     raw, truth = written(category, object_id(category, k), folder / str(k))
     obj = articulation.resolve(raw, recipe.articulation)
     prepared = prepare(obj, recipe, seed=0)
@@ -559,7 +559,7 @@ def test_the_same_instance_whatever_was_made_before(make: Maker) -> None:
 def test_more_states_leave_the_random_states_as_they_are(make: Maker) -> None:
     """The frame may grow with the poses, what is drawn does not change."""
     first = make("oven", 0)
-    more = prepare(first.obj, first.recipe.with_counts(states=STATES + 3), seed=0)
+    more = prepare(first.obj, first.recipe.with_options(states=STATES + 3), seed=0)
     for s, state in enumerate(first.prepared.states):
         np.testing.assert_array_equal(more.states[s].q, state.q)
         points = make_instance(more, s).uniform_points

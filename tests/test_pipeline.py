@@ -227,7 +227,7 @@ def assert_nobody_left(group: int) -> None:
 
 def test_objects_caps_the_number_and_more_are_added_later(whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "growing"
-    few = job(out, recipe=TINY.with_counts(objects=2))
+    few = job(out, recipe=TINY.with_options(objects=2))
     manifest, _ = made(few)
     assert sorted(o.key.split for o in manifest.objects) == ["test", "train"]
     manifest, reports = made(job(out))

@@ -60,7 +60,7 @@ def test_eight_ranks_of_which_three_are_killed_make_what_one_process_makes(tmp_p
     assert len(left) == 2  # nobody removes what may be another's
     with pytest.raises(ArticugenError, match=r"1 of 9 objects are missing .*--shard i/8, i = 1;"):
         merge(out)
-    all_of_them = TINY.with_counts(objects=OBJECTS, states=0)
+    all_of_them = TINY.with_options(objects=OBJECTS, states=0)
     assert len(rank(out, "1/8", recipe=all_of_them)) == 1
     merged = merge(out, jobs=2)
 
@@ -88,7 +88,7 @@ def test_a_plain_run_goes_on_with_what_ranks_have_made(tmp_path: Path) -> None:
 
 
 def test_a_killed_plain_run_and_a_finished_one_are_gone_on_with(tmp_path: Path) -> None:
-    few = TINY.with_counts(objects=2)
+    few = TINY.with_options(objects=2)
     made(job(tmp_path, recipe=few))
     before = Manifest.read(tmp_path)
     assert rank(tmp_path, "0/2") + rank(tmp_path, "1/2")
@@ -113,7 +113,7 @@ def test_ranks_share_a_folder_and_with_nobody_else(tmp_path: Path) -> None:
 
 def test_ranks_that_want_something_else_are_told(tmp_path: Path) -> None:
     rank(tmp_path, "0/2")
-    for changes in ({"seed": 1}, {"recipe": TINY.with_counts(objects=5)}, {"exclude": ("x",)}):
+    for changes in ({"seed": 1}, {"recipe": TINY.with_options(objects=5)}, {"exclude": ("x",)}):
         with pytest.raises(ArticugenError):
             rank(tmp_path, "1/2", **changes)
     with pytest.raises(
@@ -162,7 +162,7 @@ def test_a_share_is_one_of_so_many(text: str) -> None:
 
 def test_the_command_line_makes_shares_and_merges_them(tmp_path: Path) -> None:
     recipe = tmp_path / "tiny.json"
-    recipe.write_text(TINY.with_counts(objects=3).text())
+    recipe.write_text(TINY.with_options(objects=3).text())
     command = ["generate", "-c", "eyeglasses", "-r", recipe, "-j", 0, "-o", tmp_path / "data"]
 
     dry = run(*command, "--shard", "1/2", "--dry-run")
@@ -215,7 +215,7 @@ def test_ranks_and_chosen_ids_agree_on_splits_that_no_hash_decides(tmp_path: Pat
         is_test = hashlib.sha256(f"box{number}".encode()).digest()[0] < 256 * TEST_FRACTION
         text = BOX.format(size=1 + number / 10)
         (folder / f"box{number}.urdf").write_text(text.replace("revolute", "fixed", is_test))
-    few = {"source": str(folder), "category": "box", "recipe": TINY.with_counts(objects=99)}
+    few = {"source": str(folder), "category": "box", "recipe": TINY.with_options(objects=99)}
     plain, _ = made(job(tmp_path / "plain", **few))
     splits = {entry.key.object_id: entry.key.split for entry in plain.objects}
     assert (len(splits), list(splits.values()).count("test")) == (6 - len(plain.skipped), 1)

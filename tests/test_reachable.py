@@ -100,7 +100,7 @@ def test_a_box_is_shut_wherever_its_faces_lie_between_the_voxels(fifths):
 def opened(category: str, index: int, folder: Path) -> tuple[Prepared, Truth]:
     """An object under the rule, in the canonical pose and two random states."""
     obj, truth = written(category, f"{category}_{index:04d}", folder)
-    recipe = load_recipe(None, category).with_counts(states=2)
+    recipe = load_recipe(None, category).with_options(states=2)
     recipe = recipe.model_copy(update={"fusion": RULE})
     return prepare(articulation.resolve(obj, recipe.articulation), recipe, seed=1), truth
 

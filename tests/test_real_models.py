@@ -63,7 +63,7 @@ def found() -> list[tuple[str, str, str]]:
 def recipe_for(category: str) -> Recipe:
     return (
         load_recipe(None, category)
-        .with_counts(states=STATES)
+        .with_options(states=STATES)
         .model_copy(update={"sampling": SAMPLES})
     )
 

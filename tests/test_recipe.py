@@ -291,7 +291,7 @@ def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
     two = load_recipe(
         written(tmp_path, "# a comment\nfusion:\n  truncation: 0.01\nobjects: 3\nname: a"), "laptop"
     )
-    other = two.with_counts(objects=4)
+    other = two.with_options(objects=4)
     assert one == two
     assert one.sha256() == two.sha256() != other.sha256()
     assert Recipe.model_validate(json.loads(one.text())) == one
@@ -308,29 +308,29 @@ def test_another_process_hashes_the_same() -> None:
 def test_what_decides_an_object_counts_neither_names_nor_objects() -> None:
     """So that data made for a few objects serve a later run for more of them."""
     recipe = load_recipe("quick", "laptop")
-    more = recipe.with_counts(objects=40).model_copy(update={"name": "other"})
+    more = recipe.with_options(objects=40).model_copy(update={"name": "other"})
     assert more.for_one_object() == recipe.for_one_object()
-    assert recipe.with_counts(states=11).for_one_object() != recipe.for_one_object()
+    assert recipe.with_options(states=11).for_one_object() != recipe.for_one_object()
 
 
 def test_with_counts_replaces_what_is_given_and_checks_it() -> None:
     recipe = load_recipe("quick", "laptop")
-    assert recipe.with_counts() == recipe
-    assert recipe.with_counts(objects=3).objects == 3
-    changed = recipe.with_counts(states=2)
+    assert recipe.with_options() == recipe
+    assert recipe.with_options(objects=3).objects == 3
+    changed = recipe.with_options(states=2)
     assert (changed.articulation.states, changed.objects) == (2, recipe.objects)
     with pytest.raises(InvalidRecipe, match="greater than or equal to 1"):
-        recipe.with_counts(objects=0)
+        recipe.with_options(objects=0)
 
 
 def test_what_moves_and_from_where_is_part_of_the_recipe() -> None:
     recipe = load_recipe(None, "laptop")
-    assert recipe.with_articulation().sha256() == recipe.sha256()
-    other = recipe.with_articulation(movable=["door*"], canonical="upper")
+    assert recipe.with_options().sha256() == recipe.sha256()
+    other = recipe.with_options(movable=["door*"], canonical="upper")
     assert (other.articulation.movable, other.articulation.canonical) == (("door*",), "upper")
     assert other.for_one_object().sha256() != recipe.for_one_object().sha256()
     with pytest.raises(InvalidRecipe, match=r"recipe 'laptop': articulation\.canonical: .*'lower'"):
-        recipe.with_articulation(canonical="middle")
+        recipe.with_options(canonical="middle")
 
 
 def test_whether_joints_keep_to_their_limits_is_said_in_the_recipe_that_is_stored() -> None:

@@ -78,7 +78,7 @@ class Scene:
 def scene(
     folder: Path, k: int, intrinsics: tuple[float, float, float, float], *, noisy: bool = False
 ) -> Scene:
-    recipe = load_recipe(None, "laptop").with_counts(states=60)
+    recipe = load_recipe(None, "laptop").with_options(states=60)
     name = object_id("laptop", k)
     raw, _ = written("laptop", name, folder / name)
     prepared = prepare(resolve(raw, recipe.articulation), recipe, seed=0)

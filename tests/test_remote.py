@@ -17,7 +17,7 @@ from articugen.store import bucket, remote
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed")
 pytest.importorskip("obstore", reason="obstore is not installed")
 
-ONE = TINY.with_counts(objects=1, states=5)
+ONE = TINY.with_options(objects=1, states=5)
 
 
 @pytest.fixture(scope="module")

@@ -29,8 +29,8 @@ from articugen.pipeline.plan import objects_of
 from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
-MANY = TINY.with_counts(objects=9, states=2)
-LONG = TINY.with_counts(objects=9, states=8)
+MANY = TINY.with_options(objects=9, states=2)
+LONG = TINY.with_options(objects=9, states=8)
 """With tasks that are not done before one can harm them."""
 
 

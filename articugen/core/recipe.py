@@ -313,32 +313,22 @@ class Recipe(_Section):
     def sha256(self) -> str:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
-    def _changed(self, **values: Any) -> "Recipe":
-        """Return it with these values, where they are not None; __ stands between a key's names."""
-        data = self.model_dump()
-        for key, value in values.items():
-            section, _, name = key.rpartition("__")
-            if value is not None:
-                (data[section] if section else data)[name] = value
-        return validated(Recipe, data, f"recipe {self.name!r}")
-
-    def with_counts(
+    def with_options(
         self,
         *,
         objects: int | None = None,
         states: int | None = None,
         max_rejected: float | None = None,
+        movable: Sequence[str] = (),
+        canonical: str | None = None,
     ) -> "Recipe":
-        """Return it with other numbers, where given; InvalidRecipe if there cannot be so many."""
-        changed = {"objects": objects, "articulation__states": states}
-        return self._changed(**changed, max_rejected_fraction=max_rejected)
-
-    def with_articulation(
-        self, *, movable: Sequence[str] = (), canonical: str | None = None
-    ) -> "Recipe":
-        """Return it with other moving joints or canonical pose, where given; or InvalidRecipe."""
-        names = list(movable) or None
-        return self._changed(articulation__movable=names, articulation__canonical=canonical)
+        """Return it with other values, where given; InvalidRecipe if it cannot have them."""
+        own = {"objects": objects, "max_rejected_fraction": max_rejected}
+        joints = {"states": states, "movable": list(movable) or None, "canonical": canonical}
+        data = self.model_dump()
+        for section, values in ((data, own), (data["articulation"], joints)):
+            section |= {name: value for name, value in values.items() if value is not None}
+        return validated(Recipe, data, f"recipe {self.name!r}")
 
     def for_source(self, *, clips_to_limits: bool) -> "Recipe":
         """This recipe as it is for a source: that its joints are clipped, or not, is then said."""

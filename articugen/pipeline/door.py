@@ -33,11 +33,15 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
         Job(
             source=source,
             category=name,
-            recipe=with_settings(load_recipe(options.recipe, name, source), options.changes)
-            .with_counts(
-                objects=options.objects, states=options.states, max_rejected=options.max_rejected
-            )
-            .with_articulation(movable=options.movable, canonical=options.canonical),
+            recipe=with_settings(
+                load_recipe(options.recipe, name, source), options.changes
+            ).with_options(
+                objects=options.objects,
+                states=options.states,
+                max_rejected=options.max_rejected,
+                movable=options.movable,
+                canonical=options.canonical,
+            ),
             seed=options.seed,
             out=Remote(str(out)) / name if is_url(out) else Path(out) / name,
             jobs=default_jobs() if options.jobs is None else options.jobs,

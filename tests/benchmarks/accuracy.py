@@ -126,7 +126,7 @@ def _open(category: str, index: int, size: Size) -> list[Row]:
     """The rule `reachable` on an open object: IoU with what is open in truth, CPU time over that
     of `seen`."""
     model = cases.bundled(category, index, messy=False)
-    recipe = model.recipe.with_counts(states=size.states)
+    recipe = model.recipe.with_options(states=size.states)
     prepared = _prepared(model, recipe, ("seen", "reachable"))
     rows = []
     for state in range(1, size.states + 1):
@@ -152,7 +152,7 @@ def _open(category: str, index: int, size: Size) -> list[Row]:
 def _rigid(category: str, index: int, size: Size) -> list[Row]:
     """The rule `rigid`: IoU with the exact solids, CPU time beside that of `seen`."""
     model = cases.bundled(category, index, messy=False)
-    prepared = _prepared(model, model.recipe.with_counts(states=size.states), ("seen", "rigid"))
+    prepared = _prepared(model, model.recipe.with_options(states=size.states), ("seen", "rigid"))
     rows = []
     for state in range(1, size.states + 1):
         made = cases.sampled(prepared["rigid"], state, size.points)

@@ -28,7 +28,7 @@ BEHIND = 1e-4
 
 def object_rows(model: Model, recipe: Recipe, states: int, points: int, seed: int) -> list[Row]:
     """A row of counts for each random state of an object; `total` adds them up."""
-    prepared = preparing.prepare(model.obj, recipe.with_counts(states=states), seed)
+    prepared = preparing.prepare(model.obj, recipe.with_options(states=states), seed)
     rows = []
     for state in range(1, states + 1):
         made = cases.sampled(prepared, state, points)

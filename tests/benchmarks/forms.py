@@ -81,7 +81,7 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
         part = preparing.solid_part(labelled(mesh), recipe)
         field = preparing.own_solid(part, recipe).field
         rows.append({"shape": name} | _uniform(part.mesh, part.seen, field, points, None))
-    prepared = preparing.prepare(drawer.obj, drawer.recipe.with_counts(states=8), 0)
+    prepared = preparing.prepare(drawer.obj, drawer.recipe.with_options(states=8), 0)
     state = int(np.argmax([np.abs(state.q).sum() for state in prepared.states]))
     mesh, fields = preparing.pose(prepared, state)
     exact = cases.scene(drawer, prepared, state)

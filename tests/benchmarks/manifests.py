@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def job(folder: Path, objects: int) -> Job:
-    recipe = load_recipe("quick", "laptop").with_counts(objects=objects, states=100)
+    recipe = load_recipe("quick", "laptop").with_options(objects=objects, states=100)
     clips = open_source("procedural").clips
     recipe = recipe.for_source(clips_to_limits=clips)
     return Job("procedural", "laptop", recipe, 0, folder, 1)

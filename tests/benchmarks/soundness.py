@@ -100,7 +100,7 @@ def made_sets(first: int = 0) -> Iterator[Made]:
         rule = RULES[(n + lap) % 4]
         views = VIEWS[(n // 4 + lap) % 4]
         samples = SAMPLES[(n + n // 5 + lap) % 5] or FEWER
-        recipe = load_recipe(None, ref.category).with_counts(states=STATES)
+        recipe = load_recipe(None, ref.category).with_options(states=STATES)
         recipe = Recipe.model_validate(
             recipe.model_dump()
             | {"fusion": recipe.fusion.model_dump() | {"rule": rule}}
