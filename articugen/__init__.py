@@ -22,6 +22,7 @@ _HOME = {
     "Model": "instance.maker",
     "Recipe": "core.recipe",
     "Row": "inspection.notebook",
+    "check": "inspection.check.door",
     "discover": "discovery.objects",
     "evaluate": "learning.commands",
     "export": "",

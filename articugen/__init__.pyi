@@ -4,6 +4,7 @@ from articugen.core.errors import ArticugenError
 from articugen.core.recipe import Recipe
 from articugen.discovery.objects import discover
 from articugen.export.run import export
+from articugen.inspection.check.door import check
 from articugen.inspection.notebook import DataSet, Row, open
 from articugen.instance.maker import Made, Maker, Model, load
 from articugen.learning.commands import evaluate, train
@@ -21,6 +22,7 @@ __all__ = [
     "Model",
     "Recipe",
     "Row",
+    "check",
     "discover",
     "evaluate",
     "export",

@@ -1,4 +1,4 @@
-"""The commands that look at data sets that are there: `inspect`, `verify`, `clean`, `mesh`."""
+"""The commands that examine models and data sets: `inspect`, `check`, `verify` and others."""
 
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
 # ruff: noqa: PLC0415
@@ -6,13 +6,17 @@ from collections.abc import Callable
 from dataclasses import MISSING
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from articugen.cli.options import DATA_SETS, argument, offered
-from articugen.cli.saying import FAILED, command, counting_bar, say, stderr, stdout
+from articugen.cli.saying import FAILED, REJECTED, command, counting_bar, say, stderr, stdout
 from articugen.core.tables import DIM, quiet_table, size
 from articugen.pipeline.options import option
+
+if TYPE_CHECKING:
+    from articugen.inspection.check.model import Checked
 
 
 @offered(
@@ -96,6 +100,59 @@ def compare(
     )
     if image is not None:
         say(f"drawn: {image}")
+
+
+@offered(
+    "articugen check cabinet.urdf",
+    "articugen check models/ --json checks.json --html checks.html",
+    "Exit status: 0 all sound, 3 findings, 1 a model cannot be read.",
+)
+def check(
+    path: Path = argument("A mesh, URDF or USD file, or a folder of them."),
+    json: Path | None = option(None, "Write all numbers into this file."),
+    html: Path | None = option(None, "Write a page with pictures."),
+    jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
+) -> int:
+    """Check models of others before use: closed, solid, joints, collisions."""
+    from articugen.core.compiling import compile_kernels
+    from articugen.core.files import check_place, write_atomically
+    from articugen.core.processes import default_jobs
+    from articugen.inspection.check import door
+    from articugen.inspection.check.model import FINDINGS, VERDICTS
+    from articugen.inspection.check.page import page
+    from articugen.inspection.report.page import check_html
+
+    if json:
+        check_place(json)
+    if html:
+        check_html(html)
+    for kernels in ("generate", "inspect"):
+        compile_kernels(kernels, notice=stderr.print)
+    with counting_bar() as count_model:
+        done = count(1)
+
+        def note(model: "Checked", of: int) -> None:
+            _say_checked(model)
+            count_model(next(done), of, model.name)
+
+        checks = door.check(path, jobs=jobs or default_jobs(), pictures=bool(html), on_model=note)
+    number = checks.counts()
+    counts = [f"{number[word]:,} {word}" for word in (*VERDICTS, *FINDINGS) if number[word]]
+    if len(checks.models) > 1:
+        say(f"{len(checks.models):,} models: {', '.join(counts)}")
+    if json:
+        write_atomically(json, checks.json().encode())
+    if html:
+        write_atomically(html, page(checks, path.name).encode())
+    return 0 if checks.ok else FAILED if number["unreadable"] else REJECTED
+
+
+def _say_checked(model: "Checked") -> None:
+    mark = {"sound": ("✓", "green"), "findings": ("✗", "yellow")}.get(model.verdict, ("✗", "red"))
+    amiss: list[str | tuple[str, str]] = []
+    for finding in model.findings:
+        amiss += ["; " if amiss else "", (finding.kind, "bold"), f" {finding.text}"]
+    say(mark, f" {model.name}: ", *(amiss or [model.problem or "sound"]))
 
 
 @offered(

@@ -102,6 +102,7 @@ class Joint:
         axis: (3,) unit direction in the joint's (child link's) frame.
         lower, upper: limits of q, rad or m; -inf and inf where there is none.
         mimic: the joint that drives this one, or None.
+        axis_length: of the axis as its file has it, which need not be 1.
     """
 
     name: str
@@ -113,6 +114,7 @@ class Joint:
     lower: float = 0.0
     upper: float = 0.0
     mimic: Mimic | None = None
+    axis_length: float = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, JointKind):

@@ -10,6 +10,15 @@ from articugen.fusion.distance import distances
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
+from articugen.fusion.solidify import (
+    closed_piece,
+    face_areas,
+    face_normals,
+    welded,
+    without_repeats,
+)
+from articugen.fusion.thin import way_meets
+from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh, build
 
 __all__ = [
@@ -21,13 +30,21 @@ __all__ = [
     "PosedSolids",
     "SolidPart",
     "build",
+    "closed_piece",
+    "closed_pieces",
     "distances",
+    "face_areas",
+    "face_normals",
     "fuse",
     "joined_bvh",
     "pixel_width",
     "seen_alone",
     "seen_by",
     "solid_part",
+    "surely_inside",
     "too_deep",
     "touched",
+    "way_meets",
+    "welded",
+    "without_repeats",
 ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Bools, Floats
 from articugen.core.geometry import apply, points_on_triangles
 from articugen.core.records import LabelledMesh
 from articugen.fusion.distance import distances
@@ -38,19 +38,21 @@ class Colliding:
         parts = [mesh.part(part) for part in range(len(faces.roots) - 1)]
         return Colliding(tuple(_points_on(part, rng) for part in parts), faces)
 
-    def depths(self, solids: PosedSolids) -> Floats:
-        """Return (P, P) how deep points of part i are in part j, both posed; 0 on the diagonal."""
+    def depths(self, solids: PosedSolids, *, pairs: Bools | None = None) -> Floats:
+        """Return (P, P) how deep points of part i are in part j, both posed; 0 on the diagonal.
+
+        Args:
+            pairs: (P, P) those to examine, all by default; the others have 0.
+        """
         P = len(self.points)
+        pairs = ~np.eye(P, dtype=np.bool_) if pairs is None else pairs
         out = np.zeros((P, P))
-        for i in range(P):
+        for i, j in np.argwhere(pairs):
             posed = apply(solids.part_motion[i], self.points[i])
-            for j in range(P):
-                if i != j:
-                    probes = np.ascontiguousarray(posed, np.float32)
-                    inside = solids.holds(j, probes, np.arange(len(probes)))
-                    motion = solids.part_motion
-                    far = distances(posed[inside], self.faces, motion, DEEPEST, part=j)
-                    out[i, j] = float(far.max(initial=0.0))
+            probes = np.ascontiguousarray(posed, np.float32)
+            inside = solids.holds(j, probes, np.arange(len(probes)))
+            far = distances(posed[inside], self.faces, solids.part_motion, DEEPEST, part=j)
+            out[i, j] = float(far.max(initial=0.0))
         return out
 
 

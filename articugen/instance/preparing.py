@@ -180,7 +180,7 @@ def _prepared(
 ) -> Prepared:
     canonical = articulation.forward_kinematics(obj, states[0])
     motions = articulation.motions_of(obj, (*states, *reach), canonical)
-    world = _canonical_mesh(obj, canonical)
+    world = canonical_mesh(obj, canonical)
     box = swept_box(world, motions[: len(states)])
     extent = float(np.max(box[1] - box[0]))
     if not extent > 0.0:
@@ -336,7 +336,7 @@ def _extras(
     return Extras(visible, edges, colliding, cameras)
 
 
-def _canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
+def canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
     """All links in the canonical pose, world frame, metres; the links of part 0 first."""
     part_of_link = obj.part_of_link
     pieces = []

@@ -311,3 +311,6 @@ _READERS: dict[str, Callable[[bytes, Path, ModelFiles], _Arrays]] = {
     ".glb": scenes.read_glb,
     ".gltf": scenes.read_gltf,
 }
+
+SUFFIXES = tuple(_READERS)
+"""Of the files that can be read."""

@@ -163,8 +163,9 @@ def _topological(joints: list[Any]) -> list[Any]:
 def _joint(joint: Any, origin: Floats) -> Joint:
     kind = JointKind.named(joint.type)
     lower, upper = _limits(joint)
-    axis = np.array([1.0, 0.0, 0.0])
+    axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     if kind != JointKind.FIXED:
+        length = float(norm(joint.axis))
         axis = joint.axis / np.abs(joint.axis).max()
         axis = axis / norm(axis)
     mimic = joint.mimic if kind != JointKind.FIXED else None
@@ -178,6 +179,7 @@ def _joint(joint: Any, origin: Floats) -> Joint:
         lower=lower,
         upper=upper,
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),
+        axis_length=length,
     )
 
 

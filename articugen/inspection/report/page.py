@@ -74,9 +74,7 @@ def write_report(
         InvalidArgument: `html` is named like something else; there is nothing to compare.
         MachineFault: `html` cannot be written.
     """
-    if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
-        raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
-    check_place(html)
+    check_html(html)
     alike = None if beside is None else (beside, likeness(path, beside))
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     found = facts(shards)
@@ -102,17 +100,38 @@ def write_report(
 
 def page(report: Report) -> str:
     """Return the report as a whole HTML document."""
+    return document(
+        f"{report.facts.about['category']}: report of a data set",
+        sections.header(report.path, report.facts, report.manifest),
+        _sections(report),
+        "what the data set holds",
+        scene=report.turnable.scene if report.turnable else None,
+    )
+
+
+def document(
+    title: str,
+    header: Markup,
+    parts: Sequence[tuple[str, str, Markup]],
+    basis: str,
+    *,
+    scene: object = None,
+) -> str:
+    """Return an HTML document that is complete in itself.
+
+    Args:
+        parts: name, title and content of each section.
+        basis: what it is written from, for the footer.
+        scene: what the script beside turns, if anything.
+    """
     beside = files("articugen.inspection.report")
     style, script = ((beside / name).read_text("utf-8") for name in ("page.css", "viewer.js"))
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
         f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
     )
-    category = str(report.facts.about["category"])
-    parts = _sections(report)
-    scene = ""  # data, not code: no `<` in it can end the element
-    if report.turnable:
-        scene = json.dumps(report.turnable.scene, separators=(",", ":")).replace("<", "\\u003c")
+    # data, not code: no `<` in it can end the element
+    data = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c") if scene else ""
     head = el(
         "head",
         el("meta", charset="utf-8"),
@@ -120,29 +139,36 @@ def page(report: Report) -> str:
         el("meta", name="viewport", content="width=device-width, initial-scale=1"),
         el("meta", name="color-scheme", content="light dark"),
         el("meta", name="generator", content=f"articugen {VERSION}"),
-        el("title", f"{category}: report of a data set"),
+        el("title", title),
         el("style", Markup(style)),
     )
-    links = [el("li", el("a", title, href=f"#{name}")) for name, title, _ in parts]
+    links = [el("li", el("a", heading, href=f"#{name}")) for name, heading, _ in parts]
     body = el(
         "body",
-        el("a", "Skip to the report", href="#overview", class_="skip"),
-        sections.header(report.path, report.facts, report.manifest),
+        el("a", "Skip to the report", href=f"#{parts[0][0]}", class_="skip"),
+        header,
         el("nav", el("ul", *links), aria_label="Sections"),
         el(
             "main",
             *(
-                el("section", el("h2", title, id_=f"{name}-title"), inside,
+                el("section", el("h2", heading, id_=f"{name}-title"), inside,
                    id_=name, aria_labelledby=f"{name}-title")
-                for name, title, inside in parts
+                for name, heading, inside in parts
             ),
         ),
-        el("footer", el("p", f"Written by articugen {VERSION} from what the data set holds. "
+        el("footer", el("p", f"Written by articugen {VERSION} from {basis}. "
                              "This file is complete: it opens without a network.")),
-        el("script", Markup(scene), type="application/json", id_="scene") if scene else None,
+        el("script", Markup(data), type="application/json", id_="scene") if data else None,
         el("script", Markup(script)),
     )  # fmt: skip
     return "<!doctype html>\n" + el("html", head, body, lang="en") + "\n"
+
+
+def check_html(html: Path) -> None:
+    """Raise InvalidArgument or MachineFault where no report can be written to `html`."""
+    if html.suffix.lower() not in (".html", ".htm"):  # it may be somebody's data
+        raise InvalidArgument(f"{html}: a report is an HTML file; give it a name ending in .html")
+    check_place(html)
 
 
 def _sections(report: Report) -> list[tuple[str, str, Markup]]:
