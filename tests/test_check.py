@@ -231,7 +231,7 @@ def test_folders_hold_models_or_meshes_and_what_is_hostile_gets_a_line(tmp_path)
     (tmp_path / "e.obj").write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "f.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
     checks = ag.check(tmp_path, jobs=1)
-    assert [Path(model.name).name for model in checks.models] == [
+    assert [model.name for model in checks.models] == [
         "a.stl", "c.obj", "d.ply", "e.obj", "f.obj",
     ]  # fmt: skip
     words = [model.verdict for model in checks.models]

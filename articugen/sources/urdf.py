@@ -6,6 +6,8 @@ unit axes are ours, because there it is wrong or silent.
 
 import heapq
 import io
+import math
+import sys
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from functools import lru_cache
@@ -165,7 +167,7 @@ def _joint(joint: Any, origin: Floats) -> Joint:
     lower, upper = _limits(joint)
     axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     if kind != JointKind.FIXED:
-        length = float(norm(joint.axis))
+        length = min(math.hypot(*joint.axis), sys.float_info.max)
         axis = joint.axis / np.abs(joint.axis).max()
         axis = axis / norm(axis)
     mimic = joint.mimic if kind != JointKind.FIXED else None

@@ -6,6 +6,7 @@ against the rules of the format (wiki.ros.org/urdf/XML), and stripped of all tha
 """
 
 import math
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -281,19 +282,12 @@ def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None
                 " parent, remove one of the joints",
             )
         parent_of[child], hangs_on[child] = parent, name
-    reached: set[str] = set()
-    for start in links:
-        trail: list[str] = []
-        link = start
-        while link in parent_of and link not in reached:
-            reached.add(link)
-            trail.append(link)
-            link = parent_of[link]
-        if link in trail:
-            loop = sorted(hangs_on[name] for name in trail[trail.index(link) :])
-            raise check.refuse(
-                joints[loop[0]], f"the joints {', '.join(loop)} form a loop; remove one of them"
-            )
+    ring = _ring(parent_of)
+    if ring:
+        loop = sorted(hangs_on[link] for link in ring)
+        raise check.refuse(
+            joints[loop[0]], f"the joints {', '.join(loop)} form a loop; remove one of them"
+        )
     roots = [link for link in links if link not in parent_of]
     if len(roots) > 1:
         raise InvalidSource(
@@ -304,25 +298,28 @@ def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None
 
 def _check_mimics(check: _Check, joints: dict[str, Any]) -> None:
     """Each mimic leads, over any number of others, to a joint that moves by itself."""
-    sound: set[str] = set()
-    for start, joint in joints.items():
-        trail: dict[str, None] = {}
-        name = start
-        while name not in sound:
-            trail[name] = None
-            mimic = joints[name].find("mimic")
-            if mimic is None:
-                break
-            target = mimic.get("joint") or ""
-            if target not in joints:
-                raise check.refuse(
-                    joints[name], f"mimics the unknown joint {quoted(target)}; correct its name"
-                )
-            if joints[target].get("type") == "fixed":
-                raise check.refuse(
-                    joints[name], f"mimics {quoted(target)}, which is fixed; remove the <mimic>"
-                )
-            if target in trail:
-                raise check.refuse(joint, f"its <mimic> leads back to {quoted(target)}; remove one")
-            name = target
-        sound.update(trail)
+    leads_to: dict[str, str] = {}
+    for name, joint in joints.items():
+        mimic = joint.find("mimic")
+        if mimic is None:
+            continue
+        target = leads_to[name] = mimic.get("joint") or ""
+        if target not in joints:
+            raise check.refuse(
+                joint, f"mimics the unknown joint {quoted(target)}; correct its name"
+            )
+        if joints[target].get("type") == "fixed":
+            raise check.refuse(
+                joint, f"mimics {quoted(target)}, which is fixed; remove the <mimic>"
+            )
+    for name in _ring(leads_to)[:1]:
+        raise check.refuse(joints[name], f"its <mimic> leads back to {quoted(name)}; remove one")
+
+
+def _ring(leads_to: dict[str, str]) -> list[str]:
+    """Return names that lead to one another in a circle; [] where there is none."""
+    try:
+        TopologicalSorter({name: [other] for name, other in leads_to.items()}).prepare()
+    except CycleError as error:
+        return sorted(set(error.args[1]))
+    return []

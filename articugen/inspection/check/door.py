@@ -1,7 +1,7 @@
 """Whole folders of models checked: `ag.check`, `articugen check`."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.errors import ArticugenError, InvalidSource, machine_fault, printable
-from articugen.core.processes import Crew, Limit
+from articugen.core.processes import Limit, each
 from articugen.core.records import ArticulatedObject, Link
 from articugen.inspection.check.model import Checked, Checks, check_model
 from articugen.inspection.check.page import picture
@@ -41,57 +41,53 @@ def check(
     """
     tasks = tasks_in(Path(path))
     checks: dict[int, Checked] = {}
-    function = partial(_check_one, pictures=pictures)
-    with Crew(function, workers=min(jobs, len(tasks)), limit=LIMIT, name=_name) as crew:
-        for ended in crew.each(tasks):
-            task = tasks[ended.number]
-            over = ended.over and f"takes more than {getattr(LIMIT, ended.over):g} {ended.over}"
-            lost = ended.lost and f"its worker {ended.lost}"
-            checks[ended.number] = ended.value or _problem(task, over or lost or "")
-            on_model(checks[ended.number], len(tasks))
-    return Checks(tuple(checks[number] for number in sorted(checks)))
+    for ended in each(partial(_checked, pictures=pictures), tasks, workers=jobs, limit=LIMIT):
+        problem = f"its worker {ended.lost}"
+        if ended.over:
+            problem = f"it takes more than {getattr(LIMIT, ended.over):g} {ended.over}"
+        checks[ended.number] = ended.value or _blank(tasks[ended.number], problem)
+        on_model(checks[ended.number], len(tasks))
+    return Checks(tuple(checks[number] for number in range(len(tasks))))
 
 
-def tasks_in(path: Path) -> Sequence[ObjectRef | Path]:
+def tasks_in(path: Path) -> list[ObjectRef | Path]:
     """Return the models at a path, or the mesh files; InvalidSource where there is neither."""
     if path.suffix.lower() in read.SUFFIXES and not path.is_dir():
         return [path]
     try:
-        return models(path)
+        return list(models(path))
     except InvalidSource:
         meshes = [p for p in path.rglob("*") if p.suffix.lower() in read.SUFFIXES and p.is_file()]
-        if meshes:
-            return sorted(meshes)
-        raise
+        if not meshes:
+            raise
+        return [*sorted(meshes)]
 
 
-def _name(task: ObjectRef | Path) -> str:
-    return str(task) if isinstance(task, Path) else task.object_id
+def _blank(task: ObjectRef | Path, problem: str) -> Checked:
+    if isinstance(task, Path):
+        return Checked(printable(task.name), printable(str(task)), problem)
+    return Checked(printable(task.object_id), printable(str(task.location)), problem)
 
 
-def _problem(task: ObjectRef | Path, problem: str) -> Checked:
-    where = task if isinstance(task, Path) else task.location
-    return Checked(printable(_name(task)), printable(str(where)), problem)
-
-
-def _check_one(task: ObjectRef | Path, *, pictures: bool) -> Checked:
+def _checked(task: ObjectRef | Path, *, pictures: bool) -> Checked:
     """Check one; whatever it does to us is its problem."""
-    blank = _problem(task, "")
+    blank = _blank(task, "")
     try:
         obj = _of_mesh(task) if isinstance(task, Path) else readers.load(task)
         checked = check_model(obj, blank.name, blank.path)
         return replace(checked, picture=picture(obj) if pictures else "")
     except ArticugenError as error:
-        return replace(blank, problem=printable(str(error).removeprefix(f"{blank.path}: ")))
+        problem = printable(str(error)).removeprefix(f"{blank.path}: ")
     except MemoryError:
         raise
     except Exception as error:
         if fault := machine_fault(error):
             raise fault from error
-        return replace(blank, problem=printable(f"{type(error).__name__}: {error}")[:300])
+        problem = printable(f"cannot be checked ({type(error).__name__}: {error})")[:300]
+    return replace(blank, problem=problem)
 
 
 def _of_mesh(path: Path) -> ArticulatedObject:
     """Return a mesh file as a model of one part."""
-    mesh = read.read_mesh(path)
-    return ArticulatedObject(path.stem, "", (Link(path.stem, mesh),), (), np.eye(4), "")
+    link = Link(path.stem, read.read_mesh(path))
+    return ArticulatedObject(path.stem, "", (link,), (), np.eye(4), "")
