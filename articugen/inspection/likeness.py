@@ -143,7 +143,9 @@ def _objects(path: Path) -> Objects:
     floors: list[float] = []
     measures: dict[str, list[float]] = {name: [] for name in MEASURES}
     for each in chosen:
-        instance = _canonical(each)
+        path, index = each.places[0]  # the canonical pose, where a set has that
+        with open_shard(path) as shard:
+            instance = shard.instance(index)
         cloud = dequantize(instance.surface_points)
         low, high = bounds(cloud)
         longest = float((high - low).max())
@@ -159,13 +161,6 @@ def _objects(path: Path) -> Objects:
         float(np.mean(floors)),
         {k: np.array(v) for k, v in measures.items()},
     )
-
-
-def _canonical(each: Chosen) -> Instance:
-    """Return the object's first instance, which is its canonical pose where a set has that."""
-    path, index = each.places[0]
-    with open_shard(path) as shard:
-        return shard.instance(index)
 
 
 def _measure(

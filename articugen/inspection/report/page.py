@@ -175,7 +175,7 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
     """Return (name, title, what it says) of each."""
     found, manifest = report.facts, report.manifest
     every = found.objects
-    pictures = {p.object_id: webp(p) for p in report.sheet}
+    pictures = {p.object_id: list(map(address, p.pictures)) for p in report.sheet}
     turned = report.turnable
     still = pictures.get(turned.object_id, [""])[0] if turned else ""
     alike = []
@@ -195,11 +195,6 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
         ("recipe", "Recipe", sections.recipe(found, manifest)),
         ("provenance", "Provenance", sections.provenance(found, manifest)),
     ]
-
-
-def webp(drawn: Portraits) -> list[str]:
-    """Return the pictures as addresses that hold them."""
-    return [address(picture) for picture in drawn.pictures]
 
 
 def address(picture: Picture) -> str:
