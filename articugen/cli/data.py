@@ -143,7 +143,7 @@ def check(
     if json:
         write_atomically(json, checks.json().encode())
     if html:
-        write_atomically(html, page(checks, path.name).encode())
+        write_atomically(html, page(checks, path.resolve().name).encode())
     return 0 if checks.ok else FAILED if number["unreadable"] else REJECTED
 
 

@@ -31,7 +31,7 @@ WARM_UPS = {
     ),
     "inspect": (
         "pictures.warm:discs", "pictures.warm:light", "inspection.warm:skins",
-        "inspection.warm:clouds", "rendering.warm:drawing",
+        "inspection.warm:clouds", "inspection.warm:checks", "rendering.warm:drawing",
     ),
     "train": ("learning.ppd.cpu.warm:networks",),
 }  # fmt: skip

@@ -4,6 +4,7 @@ import numpy as np
 
 from articugen.inspection.likeness import chamfer
 from articugen.inspection.report.skin import skin
+from articugen.meshes.crossings import crossings
 from articugen.pictures.surfels import OrientedPoints
 
 
@@ -13,3 +14,7 @@ def skins() -> None:
 
 def clouds() -> None:
     chamfer(np.zeros((3, 1), np.float32), np.zeros((1, 3, 1), np.float32))
+
+
+def checks() -> None:
+    crossings(np.zeros((1, 3, 3)), 1)
