@@ -10,13 +10,7 @@ from articugen.fusion.distance import distances
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
-from articugen.fusion.solidify import (
-    closed_piece,
-    face_areas,
-    face_normals,
-    welded,
-    without_repeats,
-)
+from articugen.fusion.solidify import closed_piece, face_areas, face_normals, welded
 from articugen.fusion.thin import way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh, build
@@ -46,5 +40,4 @@ __all__ = [
     "touched",
     "way_meets",
     "welded",
-    "without_repeats",
 ]
