@@ -19,7 +19,7 @@ from articugen.meshes import read, scenes
 from articugen.meshes.model_files import ModelFiles
 from articugen.meshes.read import (
     PRIMITIVE_FACES,
-    EmptyMesh,
+    NoMesh,
     box,
     capsule,
     cylinder,
@@ -157,7 +157,7 @@ def test_coordinates_of_objs_are_the_nearest_doubles():
 
 @pytest.mark.parametrize("text", ["", SQUARE_OBJ, SQUARE_OBJ + "l 1 2\nf 1 1 2\n"])
 def test_mesh_without_triangles_is_refused(tmp_path, text):
-    with pytest.raises(EmptyMesh, match="no triangle"):
+    with pytest.raises(NoMesh, match="no triangle"):
         read_mesh(write(tmp_path / "m.obj", text))
 
 

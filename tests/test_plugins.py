@@ -283,7 +283,7 @@ def test_what_is_no_single_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSource, match=r"nowhere: there is no such file or folder"):
         load_path(tmp_path / "nowhere")
     with pytest.raises(
-        InvalidSource, match=r"is no model, nor a folder of one; name a \.urdf or USD file"
+        InvalidSource, match=r"is no model, nor a folder of one; name a URDF, MJCF or USD file"
     ):
         load_path(tmp_path)
     for name in ("a", "b"):

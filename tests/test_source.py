@@ -517,7 +517,7 @@ def test_a_model_that_came_later_is_found_too(tmp_path):
         ("./nowhere", "laptop", None, "no source './nowhere'; there are: "),
         ("procedural", "lapto", None, "no category 'lapto'; did you mean 'laptop'"),
         ("procedural", "laptop", 0, "ask for one at least"),
-        ("tests/test_source.py", "laptop", None, "is not a .urdf file"),
+        ("tests/test_source.py", "laptop", None, "is no URDF, nor an MJCF"),
         ("articugen/sources", "laptop", None, "holds no URDF"),
     ],
 )

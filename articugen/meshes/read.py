@@ -56,13 +56,12 @@ def wanting(what: str) -> Iterator[None]:
         _WANTED.reset(token)
 
 
-class EmptyMesh(InvalidSource):
-    """A mesh file without a single triangle."""
+class NoMesh(InvalidSource):
+    """A mesh file that is missing, or has no triangle."""
 
 
 def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
-    """Read the triangles of a mesh file (.obj, .stl, .ply, .dae, .glb, .gltf), in file units and
-    frame.
+    """Read the triangles of a mesh file of any of `_READERS`, in file units and frame.
 
     Polygons become fans; nodes of a scene are baked in; materials, lines and points are ignored.
     Faces that name a vertex twice are dropped, nothing else: no merging, no reordering.
@@ -73,7 +72,7 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
             only files in the folder of `path` can be read.
 
     Raises:
-        EmptyMesh: no triangle in it.
+        NoMesh: no triangle in it.
         InvalidSource: unreadable, of an unknown format, inconsistent, too large, or not finite.
     """
     files = files or ModelFiles(path.parent)
@@ -109,9 +108,7 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     if len(faces) == 0:
-        raise EmptyMesh(
-            f"{path}: has no triangle; remove the <visual> that uses it or export again"
-        )
+        raise NoMesh(f"{path}: has no triangle; remove the <visual> that uses it or export again")
     return Mesh(vertices, faces.astype(np.int32))
 
 
@@ -303,9 +300,24 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 
+def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+    """MuJoCo's own format: numbers of vertices, normals, texture coordinates and faces, and each of
+    these."""
+    vertices, normals, coordinates, faces = (int(n) for n in np.frombuffer(data[:16], "<u4", 4))
+    skipped = 3 * normals + 2 * coordinates
+    if len(data) != 16 + 4 * (3 * vertices + skipped + 3 * faces):
+        raise InvalidSource(f"{path}: its size does not fit its header; export it again")
+    scenes.check_size(path, faces=faces, vertices=vertices)
+    with np.errstate(invalid="ignore"):  # of what is no number `checked` tells
+        points = np.frombuffer(data, "<f4", 3 * vertices, 16).astype(np.float64)
+    corners = np.frombuffer(data, "<i4", 3 * faces, 16 + 4 * (3 * vertices + skipped))
+    return points.reshape(-1, 3), corners.reshape(-1, 3)
+
+
 _READERS: dict[str, Callable[[bytes, Path, ModelFiles], _Arrays]] = {
     ".obj": _read_obj,
     ".stl": _read_stl,
+    ".msh": _read_msh,
     ".ply": scenes.read_ply,
     ".dae": scenes.read_dae,
     ".glb": scenes.read_glb,

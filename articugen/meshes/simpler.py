@@ -1,8 +1,9 @@
-"""Watertight meshes with fewer faces: flat walls need no triangle a voxel."""
+"""Watertight meshes with fewer faces, for flat walls need no triangle a voxel; convex hulls."""
 
 import manifold3d
 import numpy as np
 
+from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 
 
@@ -13,4 +14,10 @@ def simpler(mesh: Mesh, tolerance: float) -> Mesh:
     if solid.status() != manifold3d.Error.NoError:
         return mesh
     mesh64 = solid.simplify(tolerance).to_mesh64()
+    return Mesh(mesh64.vert_properties[:, :3], mesh64.tri_verts.astype(np.int32))
+
+
+def hull(points: Floats) -> Mesh:
+    """Return the convex hull of points (n, 3); of flat ones a mesh without faces."""
+    mesh64 = manifold3d.Manifold.hull_points(points).to_mesh64()
     return Mesh(mesh64.vert_properties[:, :3], mesh64.tri_verts.astype(np.int32))

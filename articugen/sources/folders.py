@@ -27,6 +27,11 @@ def ending_in(folder: Path, suffix: str) -> list[Path]:
     return sorted(found, key=lambda path: (len(path.name), path.name))
 
 
+def has_urdf(folder: Path) -> bool:
+    """Return whether a URDF is in a folder: what lies beside it is its mesh or copy."""
+    return any(path.suffix.lower() == ".urdf" for path in visible(folder))
+
+
 def meta_category(folder: Path) -> str:
     """Return the category that the meta.json of a model's folder gives, as PartNet-Mobility's do;
     "" where it gives none."""

@@ -45,7 +45,7 @@ def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
         return [single]
     if path.is_file():
         raise InvalidSource(
-            f"{path}: is not a .urdf file, nor a USD file of its own; name one, or a folder"
+            f"{path}: is no URDF, nor an MJCF or USD file of its own; name one, or a folder"
         )
     if (path / category).is_dir():
         models = any_models(path / category)
@@ -58,7 +58,7 @@ def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
         models += [f for f in every if not f.kinds]
     if not models:
         raise InvalidSource(
-            f"{path}: holds no URDF or USD; put each model there as <id>.urdf, <id>.usd or "
+            f"{path}: holds no URDF, MJCF or USD; put each model there as <id>.urdf, <id>.usd or "
             "<id>/<any name>.urdf"
         )
     return models

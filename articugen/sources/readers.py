@@ -27,6 +27,7 @@ from articugen.sources import (
     urdf_files,
 )
 from articugen.sources.folders import visible
+from articugen.sources.mjcf import reader as mjcf
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd import reader as usd
 
@@ -84,6 +85,7 @@ READERS: dict[str, Reader] = {
     "annotated_urdf": annotated_urdf,
     "artiverse": artiverse,
     "usd": usd,
+    "mjcf": mjcf,
     "urdf": urdf_files,
     "procedural": procedural,
 }

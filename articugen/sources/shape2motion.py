@@ -25,7 +25,7 @@ from articugen.meshes.scenes import check_size
 from articugen.sources.folders import ending_in, meta_category
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_object
-from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
+from articugen.sources.xml_check import MAX_LINKS, MAX_NUMBER
 
 _ATTRIBUTES = "motion_attributes.json"
 _NO_LIMIT = 3.1415  # A-NCSH writes this limit, with either sign, for every revolute joint

@@ -397,8 +397,8 @@ def load_path(path: str | Path, category: str = "") -> ArticulatedObject:
     models = [single] if single else listing.any_models(path)
     if not models:
         raise InvalidSource(
-            f"{where}: is no model, nor a folder of one; name a .urdf or USD file, or a model's "
-            f"folder ({', '.join(readers.names())})"
+            f"{where}: is no model, nor a folder of one; name a URDF, MJCF or USD file, or a "
+            f"model's folder ({', '.join(readers.names())})"
         )
     if len(models) > 1:
         raise InvalidSource(

@@ -18,18 +18,15 @@ import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import apply, rotation_from_rpy, transform
+from articugen.core.geometry import rotation_from_rpy, transform
 from articugen.core.portable import norm
 from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
-from articugen.meshes import read, scenes
+from articugen.meshes import read
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.xml_strict import tostring
 from articugen.sources.refs import CategorySettings, ObjectRef
-from articugen.sources.urdf_check import MAX_NUMBER, checked_robot
-
-MAX_OBJECT_FACES = scenes.MAX_FACES
-MAX_OBJECT_VERTICES = scenes.MAX_VERTICES
-"""Of all visuals of an object: a small URDF can name one large mesh many times."""
+from articugen.sources.shapes import Shapes
+from articugen.sources.urdf_check import checked_robot
 
 
 def load_urdf(
@@ -195,7 +192,7 @@ def _limits(joint: Any) -> tuple[float, float]:
 
 
 class _Visuals:
-    """Builds the links' meshes; each mesh file is read once."""
+    """Builds the links' meshes of the shapes (lxml) of each and where they stand."""
 
     def __init__(
         self,
@@ -205,37 +202,18 @@ class _Visuals:
         shapes: dict[str, list[tuple[Any, Floats]]],
     ) -> None:
         self.path = path
-        self.files = files
         self.missing_ok = missing_ok
         self.shapes = shapes
         self.left_out: list[str] = []
-        self._faces = self._vertices = 0
-        self._cache: dict[Path, Mesh] = {}
-        tags = [shape.tag for of_link in shapes.values() for shape, _ in of_link]
-        self._check_size(sum(read.PRIMITIVE_FACES.get(tag, 0) for tag in tags), 0)
+        self._builder = Shapes(
+            path, files, [shape.tag for of_link in shapes.values() for shape, _ in of_link]
+        )
 
     def mesh(self, link: Any) -> Mesh:
         """All visuals of a link as one mesh in the link's frame, in the order of the file."""
-        vertices: list[Any] = [np.zeros((0, 3))]
-        faces: list[Any] = [np.zeros((0, 3), np.int32)]
-        offset = 0
-        for element, origin in self.shapes[link.name]:
-            by = f"{self.path}: link {quoted(link.name)}"
-            shape = self._shape(element, by)
-            if shape is None:
-                continue
-            self._faces += len(shape.faces)
-            self._vertices += len(shape.vertices)
-            self._check_size(self._faces, self._vertices)
-            vertices.append(apply(origin, shape.vertices))
-            if not (np.abs(vertices[-1]) <= MAX_NUMBER).all():
-                raise InvalidSource(
-                    f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its "
-                    "scale, or the unit of its file"
-                )
-            faces.append(shape.faces + offset)
-            offset += len(shape.vertices)
-        return Mesh(np.concatenate(vertices), np.concatenate(faces))
+        by = f"{self.path}: link {quoted(link.name)}"
+        own = ((self._shape(element, by), element.tag, T) for element, T in self.shapes[link.name])
+        return self._builder.link(by, ((mesh, tag, T) for mesh, tag, T in own if mesh))
 
     def notes(self, unseen: list[str]) -> tuple[str, ...]:
         """Return a note for each kind of thing that is not in the meshes."""
@@ -244,13 +222,6 @@ class _Visuals:
             "links with collision shapes but no visual, not seen": unseen,
         }
         return tuple(f"{note}: {', '.join(names)}" for note, names in notes.items() if names)
-
-    def _check_size(self, faces: int, vertices: int) -> None:
-        if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:
-            raise InvalidSource(
-                f"{self.path}: its visuals have more than {MAX_OBJECT_FACES:,} triangles or "
-                f"{MAX_OBJECT_VERTICES:,} vertices; simplify its meshes or use fewer shapes"
-            )
 
     def _shape(self, element: Any, by: str) -> Mesh | None:
         """The mesh of one shape, in the frame of its visual; None where it may be missing."""
@@ -265,25 +236,14 @@ class _Visuals:
         if element.tag in ("cylinder", "capsule"):
             make = read.cylinder if element.tag == "cylinder" else read.capsule
             return make(numbers("radius")[0], numbers("length")[0])
-        mesh = self._file(element.get("filename"), by)
-        if mesh is None or element.get("scale") is None:
+        name = element.get("filename")
+        try:
+            mesh = self._builder.file(name, by)
+        except read.NoMesh:
+            if not fnmatchcase(PurePosixPath(name).name, self.missing_ok):
+                raise
+            self.left_out.append(name)
+            return None
+        if element.get("scale") is None:
             return mesh
         return read.scaled(mesh, np.broadcast_to(numbers("scale"), 3))
-
-    def _file(self, name: str, by: str) -> Mesh | None:
-        try:
-            found = self.files.find(name, by)
-            if found is not None:
-                if found not in self._cache:
-                    self._cache[found] = read.read_mesh(found, self.files)
-                return self._cache[found]
-            problem = InvalidSource(
-                f"{by}: mesh {quoted(name)} does not exist; put the file there or remove the "
-                "<visual>"
-            )
-        except read.EmptyMesh as empty:
-            problem = empty
-        if not fnmatchcase(PurePosixPath(name).name, self.missing_ok):
-            raise problem
-        self.left_out.append(name)
-        return None

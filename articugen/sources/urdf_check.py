@@ -12,15 +12,9 @@ from typing import Any
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import JointKind
-from articugen.meshes.model_files import MAX_NAME_BYTES, quoted
+from articugen.meshes.model_files import quoted
 from articugen.meshes.xml_strict import drop_default_namespaces, parse_xml
-
-MAX_LINKS = 2_000
-MAX_VISUALS = 5_000
-MAX_NUMBER = 1e6  # largest length (m), angle (rad), scale or multiplier
-MIN_SIZE = 1e-9  # smallest size (m) of a shape, and scale of a mesh
-
-_MAX_LETTERS = 1_000  # of an attribute with numbers
+from articugen.sources.xml_check import MAX_LINKS, MAX_VISUALS, MIN_SIZE, Check
 
 _READ = tuple(map(str, JointKind))
 _ANY_READ = f"{', '.join(_READ[:-1])} or {_READ[-1]}"
@@ -53,14 +47,14 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
     for element in list(robot.iter(*_UNUSED)):
         element.getparent().remove(element)
     robot.set("name", robot.get("name", ""))
-    check = _Check(path)
+    check = _Check(path, ("link", "joint"))
     check.count(robot.findall("link"), "links", MAX_LINKS)
     check.count(robot.findall("joint"), "joints", MAX_LINKS)
     check.count(robot.findall("link/visual"), "visuals", MAX_VISUALS)
-    links = check.named(robot, "link")
+    links = check.named(robot.findall("link"))
     if not links:
         raise InvalidSource(f"{path}: <robot> has no <link>; add at least one")
-    joints = check.named(robot, "joint")
+    joints = check.named(robot.findall("joint"))
     for link in links.values():
         check.link(link)
     for joint in joints.values():
@@ -84,48 +78,8 @@ def _check_root(robot: Any, path: Path) -> None:
     )
 
 
-class _Check:
-    """The rules for single elements of the URDF at `path`."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def refuse(self, element: Any, problem: str) -> InvalidSource:
-        """Return the error for an element, which is named by its nearest ancestor with a name."""
-        owner = element
-        while owner.tag not in ("link", "joint") and owner.getparent() is not None:
-            owner = owner.getparent()
-        name = owner.get("name")
-        where = (
-            f"{owner.tag} {quoted(name)}" if name else f"<{owner.tag}> at line {owner.sourceline}"
-        )
-        return InvalidSource(f"{self.path}: {where}: {problem}")
-
-    def count(self, elements: list[Any], what: str, most: int) -> None:
-        if len(elements) > most:
-            raise InvalidSource(
-                f"{self.path}: {len(elements):,} {what}, at most {most:,} are read; split the model"
-                " or join some"
-            )
-
-    def named(self, robot: Any, tag: str) -> dict[str, Any]:
-        """Return every `<tag>` by its name."""
-        found: dict[str, Any] = {}
-        for element in robot.findall(tag):
-            name = element.get("name")
-            if not name:
-                raise self.refuse(element, "has no name; give it one")
-            if len(name.encode()) > MAX_NAME_BYTES:
-                raise self.refuse(
-                    element, f"has a name of more than {MAX_NAME_BYTES} bytes; shorten it"
-                )
-            if name in found:
-                raise self.refuse(
-                    element,
-                    f"a second {tag} of that name at line {element.sourceline}; rename one",
-                )
-            found[name] = element
-        return found
+class _Check(Check):
+    """The rules for single elements of a URDF."""
 
     def link(self, link: Any) -> None:
         for visual in link.findall("visual"):
@@ -214,53 +168,6 @@ class _Check:
         if origin is not None:
             self.numbers(origin, "xyz", (3,), "0 0 0")
             self.numbers(origin, "rpy", (3,), "0 0 0")
-
-    def child(self, element: Any, tag: str, *, required: bool = False) -> Any:
-        """Return the one child `<tag>`, or None."""
-        found = element.findall(tag)
-        if len(found) > 1 or (required and not found):
-            raise self.refuse(element, f"has {len(found) or 'no'} <{tag}>; a {element.tag} has one")
-        return found[0] if found else None
-
-    def numbers(
-        self,
-        element: Any,
-        attribute: str,
-        counts: tuple[int, ...],
-        default: str | None = None,
-        *,
-        infinite: bool = False,
-        most: float = MAX_NUMBER,
-    ) -> list[float]:
-        """Return the numbers of an attribute, as many as one of `counts`, none beyond `most`; where
-        they may be `infinite`, what lies beyond is.
-
-        They are written back in one plain form, so that yourdfpy reads what was checked.
-        """
-        text = element.get(attribute, default)
-        if text is None:
-            raise self.refuse(element, f"<{element.tag}> has no {attribute}; add it")
-        wanted = " or ".join(map(str, counts)) + " number" + ("s" if counts[-1] > 1 else "")
-        try:
-            values = [float(word) for word in text[:_MAX_LETTERS].replace(",", " ").split()]
-        except ValueError:
-            values = []
-        fine = len(values) in counts and not any(map(math.isnan, values))
-        fine = fine and len(text) <= _MAX_LETTERS
-        if infinite:
-            values = [x if abs(x) <= most else math.copysign(math.inf, x) for x in values]
-        if not fine or not (infinite or all(map(math.isfinite, values))):
-            raise self.refuse(
-                element, f"<{element.tag}> {attribute}={quoted(text)} is not {wanted}; correct it"
-            )
-        if not infinite and any(abs(x) > most for x in values):
-            raise self.refuse(
-                element,
-                f"<{element.tag}> {attribute}={quoted(text)} is beyond {most:,.0f}; correct it",
-            )
-        if attribute in element.attrib:
-            element.set(attribute, " ".join(map(repr, values)))
-        return values
 
 
 def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None:

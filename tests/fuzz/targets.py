@@ -81,6 +81,13 @@ def _read_urdf(path: Path) -> object:
     return load_urdf(path, object_id="1", category="c", missing_ok="gone*")
 
 
+def _read_mjcf(path: Path) -> object:
+    from articugen.sources.mjcf.reader import load
+    from articugen.sources.refs import CategorySettings, ObjectRef
+
+    return load(ObjectRef("folder", "cabinet", "1", "train", path), CategorySettings())
+
+
 def _read_mesh(path: Path) -> object:
     from articugen.meshes.read import read_mesh
 
@@ -127,6 +134,7 @@ def _read_usd(path: Path) -> object:
 def _meshes_around(folder: Path) -> None:
     (folder / "t.obj").write_text(TRIANGLE)
     (folder / "empty.obj").write_text("v 0 0 0\n")
+    (folder / "part.xml").write_text("<mujocoinclude><geom size='1'/></mujocoinclude>")
     parts = folder / "part_objs"
     parts.mkdir(exist_ok=True)
     for name in ("none_motion", "door", "knob", "drawer"):
@@ -386,6 +394,7 @@ TARGETS = {
     target.name: target
     for target in (
         Target("urdf", "model.urdf", _read_urdf, (InvalidSource,), _meshes_around, tokens=_IN_XML),
+        Target("mjcf", "model.xml", _read_mjcf, (InvalidSource,), _meshes_around, tokens=_IN_XML),
         _mesh("obj", _IN_OBJ, made=making.objs),
         _mesh("stl", _IN_STL, mending.stl),
         _mesh("ply", _IN_PLY),

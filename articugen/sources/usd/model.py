@@ -12,12 +12,13 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.records import Joint, Mesh
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
-from articugen.sources.urdf_check import MAX_LINKS, MAX_NUMBER
+from articugen.sources.shapes import joined
 from articugen.sources.usd.layers import Layers, plainly, pxr
 from articugen.sources.usd.physics import WORLD, PhysicsJoint, Stage, body_of, read_joint
 from articugen.sources.usd.shapes import Shapes
 from articugen.sources.usd.transforms import Places
 from articugen.sources.usd.tree import Tree
+from articugen.sources.xml_check import MAX_LINKS, MAX_NUMBER
 
 MAX_PRIMS = 200_000
 
@@ -190,13 +191,13 @@ class _Reading:
             body = body_of(prim)
             own[WORLD if body is None else physics.bodies.get(body.GetPath(), WORLD)].append(prim)
         if not self._with_meshes:
-            return [None if prims else _EMPTY for prims in own]
+            return [None if prims else joined(()) for prims in own]
         return [
-            _joined([self._placed(prim, physics) for prim in prims], origin)
+            joined(self._placed(prim, physics, origin) for prim in prims)
             for prims, origin in zip(own, origins, strict=True)
         ]
 
-    def _placed(self, prim: Any, physics: Stage) -> Mesh:
+    def _placed(self, prim: Any, physics: Stage, origin: Floats) -> Mesh:
         mesh = self._shapes.triangles(prim)
         vertices = physics.to_metres(mesh.vertices)
         if not (np.abs(vertices) <= MAX_NUMBER).all():
@@ -204,7 +205,7 @@ class _Reading:
                 f"{self._path}: {prim.GetPath()}: reaches beyond {MAX_NUMBER:,.0f} m; correct its "
                 "scale or metersPerUnit"
             )
-        return Mesh(vertices, mesh.faces)
+        return Mesh(vertices - origin, mesh.faces)
 
     def _note_what_is_left_out(self, found: _Found) -> None:
         if self._shapes.left_out:
@@ -222,17 +223,6 @@ class _Reading:
 
 
 _WORLD_NAME = "world"
-_EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-
-
-def _joined(shapes: Sequence[Mesh], origin: Floats) -> Mesh:
-    first = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
-    return Mesh(
-        np.concatenate([_EMPTY.vertices, *(shape.vertices - origin for shape in shapes)]),
-        np.concatenate(
-            [_EMPTY.faces, *(s.faces + np.int32(n) for s, n in zip(shapes, first, strict=False))]
-        ),
-    )
 
 
 def _holders(bodies: Sequence[Any], joints: Sequence[PhysicsJoint]) -> list[int]:

@@ -12,7 +12,7 @@ import numpy as np
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject, Link
 from articugen.meshes import read
-from articugen.sources.folders import visible
+from articugen.sources.folders import has_urdf, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd.apart import digest_apart, read_apart
 from articugen.sources.usd.layers import SUFFIXES
@@ -43,7 +43,7 @@ def main_file(folder: Path) -> Path | None:
     folder, or model_<...>; a single one where layers lie in a folder beside it."""
     there = visible(folder)
     own = [path for path in there if path.suffix.lower() in SUFFIXES]
-    if not own or any(path.suffix.lower() == ".urdf" for path in there):
+    if not own or has_urdf(folder):
         return None
     called = (folder.name.lower(), f"model_{folder.name.lower()}")
     for chosen in (
@@ -88,7 +88,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 def _is_of_another(path: Path) -> bool:
     """Return whether a USD file is a layer or a mesh of a model that other files in reach show."""
     folder = path.parent
-    if any(each.suffix.lower() == ".urdf" for each in (*visible(folder), *visible(folder.parent))):
+    if has_urdf(folder) or has_urdf(folder.parent):
         return True
     for above in (folder, *folder.parents)[:_DEEP]:
         if above.name.lower() in LAYER_FOLDERS and main_file(above.parent):

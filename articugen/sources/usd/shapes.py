@@ -63,7 +63,7 @@ class Shapes:
         own = _MAKERS[str(prim.GetTypeName())](prim, by)
         try:
             mesh = read.checked(own.vertices, own.faces, Path(by))
-        except read.EmptyMesh:
+        except read.NoMesh:
             raise InvalidSource(f"{by}: has no triangle; remove it, or export it again") from None
         self._faces += len(mesh.faces)
         self._vertices += len(mesh.vertices)

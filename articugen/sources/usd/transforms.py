@@ -6,7 +6,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import cross, rotation_about
+from articugen.core.geometry import cross, rotation_about, rotation_from_quaternion
 from articugen.core.portable import dot, norm, product, turned
 from articugen.meshes.model_files import quoted
 from articugen.sources.usd.layers import pxr
@@ -100,14 +100,7 @@ def rotation_of(quaternion: Any, by: str, what: str) -> Floats:
     length = norm(q)
     if length < 1e-6:
         raise InvalidSource(f"{by}: {what} is no rotation; correct it")
-    w, x, y, z = q / length
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return rotation_from_quaternion(q / length)
 
 
 def inverse(T: Floats, by: str) -> Floats:

@@ -1,0 +1,1 @@
+"""MuJoCo's XML, read without MuJoCo."""

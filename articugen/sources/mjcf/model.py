@@ -1,0 +1,150 @@
+"""Bodies of an MJCF as links, its hinges and slides as joints.
+
+MuJoCo moves meshes to their centres as it compiles, and geoms with them; here both stay as in the
+file. A link's frame is its body's, moved to where its joint is.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from articugen.core.arrays import Floats
+from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.portable import product, turned
+from articugen.core.records import Joint, JointKind, Mesh
+from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.sources.mjcf.document import Document
+from articugen.sources.mjcf.geoms import NO_SURFACE, Geoms, seen
+from articugen.sources.mjcf.places import place, unit
+from articugen.sources.shapes import Shapes, joined
+
+
+class Model:
+    """What a file says.
+
+    Attributes:
+        links: meshes by name, that of the world first.
+        joints: each after the one that it hangs on; several of one body have massless links
+            between them.
+        notes: what a user should know.
+    """
+
+    def __init__(self, path: Path, files: ModelFiles) -> None:
+        """Read it; InvalidSource for the first fault found."""
+        self._document = document = Document(path, files)
+        self.links: dict[str, Mesh] = {}
+        self.joints: list[Joint] = []
+        self.notes: list[str] = []
+        world = document.world
+        self._within = {world: (world, np.eye(4))}  # of bodies and frames the body, `T_body_frame`
+        bodies: dict[Any, tuple[Any, Floats]] = {}  # what each hangs on, `T_parent_body`
+        for element in world.iter("body", "frame"):
+            parent, T = self._frame_of(element)
+            T = product(T, place(element, document))
+            if element.tag == "body":
+                bodies[element] = parent, T
+                parent, T = element, np.eye(4)
+            self._within[element] = parent, T
+        named = [e for e in world.iter("worldbody", "body", "joint") if e.get("name")]
+        self._names = {
+            "body": set(document.named(e for e in named if e.tag != "joint")),
+            "joint": set(document.named(e for e in named if e.tag == "joint")),
+        }
+        geoms = self._by_body("geom")
+        shown = {body: seen(of, document) for body, of in geoms.items()}
+        kinds = [geom.get("type", "sphere") for of in shown.values() for geom in of]
+        alike = ("sphere" if kind == "ellipsoid" else kind for kind in kinds)
+        self._shapes = Shapes(path, files, alike)
+        self._geoms = Geoms(document, self._shapes)
+        joints = self._by_body("joint", "freejoint")
+        self._links = {world: ("world", np.zeros(3))}  # of each body, and its frame in the body's
+        for body in (world, *bodies):
+            if body in bodies:
+                self._links[body] = self._hang(body, *bodies[body], joints.get(body, []))
+            self._show(body, shown.get(body, []))
+        absent = {tag for tag in ("equality", "tendon") if document.root.find(tag) is not None}
+        absent |= {f"a {g.get('type')}" for g in world.iter("geom") if g.get("type") in NO_SURFACE}
+        if absent:
+            self.notes.append(f"not read, left out: {', '.join(sorted(absent))}")
+
+    def _frame_of(self, element: Any) -> tuple[Any, Floats]:
+        """Return the body that an element belongs to, and (4, 4) the frame there that it is in."""
+        parent = element.getparent()
+        if parent not in self._within:
+            raise self._document.refuse(element, f"is in a <{parent.tag}>; move it into a body")
+        return self._within[parent]
+
+    def _by_body(self, *tags: str) -> dict[Any, list[Any]]:
+        found: dict[Any, list[Any]] = {}
+        for element in self._document.world.iter(*tags):
+            found.setdefault(self._frame_of(element)[0], []).append(element)
+        return found
+
+    def _name(self, tag: str, name: str) -> str:
+        """Return `name`, or one like it where a body or joint has that."""
+        while name in self._names[tag]:
+            name += "~"
+        self._names[tag].add(name)
+        return name
+
+    def _show(self, body: Any, geoms: list[Any]) -> None:
+        """Add the link of a body, of all that it shows."""
+        name, origin = self._links[body]
+        back = transform(translation=-origin)
+        placed = ((*self._geoms.mesh(geom), self._frame_of(geom)[1]) for geom in geoms)
+        shapes = ((mesh, kind, product(back, frame, T)) for mesh, kind, T, frame in placed)
+        self.links[name] = self._shapes.link(f"{self._document.path}: body {quoted(name)}", shapes)
+
+    def _hang(self, body: Any, parent: Any, T: Floats, joints: list[Any]) -> tuple[str, Floats]:
+        """Add the joints of a body, a fixed one where it has none, and return what it is called and
+        (3,) where its link's frame is in the body's."""
+        above, origin = self._links[parent]
+        name = body.get("name") or self._name("body", f"body_{len(self._links)}")
+        T = product(transform(translation=-origin), T)
+        moving = [j for j in joints if j.tag == "joint" and j.get("type") != "free"]
+        if len(moving) < len(joints):
+            self.notes.append(f"{name}: moves freely, taken as fixed where it stands")
+        if not moving:
+            own, x = self._name("joint", name), np.array([1.0, 0.0, 0.0])
+            self.joints.append(Joint(own, JointKind.FIXED, above, name, T, x))
+        at = np.zeros(3)
+        for joint in moving:
+            own = joint.get("name") or self._name("joint", name)
+            child = name if joint is moving[-1] else self._name("body", own)
+            kind, lower, upper, rest = self._reach(joint)
+            pivot, axis = self._line(joint)
+            back = transform(translation=-rest * axis)
+            if kind != JointKind.PRISMATIC:
+                back = transform(rotation_about(axis, -rest))
+            T = product(T, transform(translation=pivot - at), back)
+            self.joints.append(Joint(own, kind, above, child, T, axis, lower, upper))
+            self.links[child] = joined(())
+            above, at, T = child, pivot, np.eye(4)
+        return name, at
+
+    def _line(self, joint: Any) -> tuple[Floats, Floats]:
+        """Return a point (3,) of a joint's axis and its direction (3,), in its body's frame."""
+        document, frame = self._document, self._frame_of(joint)[1]
+        axis = np.array(document.numbers(joint, "axis", (3,), "0 0 1"))
+        axis = turned(frame[:3, :3], unit(joint, axis, document))
+        return apply(frame, document.numbers(joint, "pos", (3,), "0 0 0")), axis
+
+    def _reach(self, joint: Any) -> tuple[JointKind, float, float, float]:
+        """Return a joint's kind, its ends, and its state where its body stands as it is drawn."""
+        document, word = self._document, joint.get("type", "hinge")
+        if word not in ("hinge", "slide"):
+            raise document.refuse(joint, f"its type is {quoted(word)}; make it hinge or slide")
+        scale = document.unit if word == "hinge" else 1.0
+        rest = document.numbers(joint, "ref", (1,), "0")[0] * scale
+        lower, upper = document.numbers(joint, "range", (2,), "0 0", infinite=True)
+        limited = joint.get("limited", "auto")
+        if limited == "auto":
+            limited = "true" if document.autolimits and "range" in joint.attrib else "false"
+        if limited != "true":
+            kind = JointKind.CONTINUOUS if word == "hinge" else JointKind.PRISMATIC
+            return kind, -np.inf, np.inf, rest
+        if not lower < upper:
+            raise document.refuse(joint, "its range has no length; name the lesser end first")
+        kind = JointKind.REVOLUTE if word == "hinge" else JointKind.PRISMATIC
+        return kind, lower * scale, upper * scale, rest

@@ -1,0 +1,75 @@
+"""What links show, whatever the format: shapes put together, and counted before they are made."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from articugen.core.arrays import Floats
+from articugen.core.errors import InvalidSource
+from articugen.core.geometry import apply
+from articugen.core.records import Mesh
+from articugen.meshes import read, scenes
+from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.sources.xml_check import MAX_NUMBER
+
+MAX_OBJECT_FACES = scenes.MAX_FACES
+MAX_OBJECT_VERTICES = scenes.MAX_VERTICES
+"""Of all visuals of an object: a small file can name one large mesh many times."""
+
+
+def joined(shapes: Iterable[Mesh]) -> Mesh:
+    """Return all shapes as one mesh, in their order."""
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], 0
+    for shape in shapes:
+        vertices.append(shape.vertices)
+        faces.append(shape.faces + np.int32(count))
+        count += len(shape.vertices)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+class Shapes:
+    """Makes the meshes of the links of the model at `path`; each mesh file is read once."""
+
+    def __init__(self, path: Path, files: ModelFiles, kinds: Iterable[str]) -> None:
+        """InvalidSource where shapes of these kinds, all that will be shown, are too large."""
+        self._path, self._files = path, files
+        self._faces = self._vertices = 0
+        self._cache: dict[Path, Mesh] = {}
+        self._check_size(sum(read.PRIMITIVE_FACES.get(kind, 0) for kind in kinds), 0)
+
+    def link(self, by: str, shapes: Iterable[tuple[Mesh, str, Floats]]) -> Mesh:
+        """Put a link together of shapes, each with what messages call it and (4, 4) where it stands
+        in the link's frame; `by` names the link."""
+        return joined(self._placed(by, *shape) for shape in shapes)
+
+    def file(self, name: str, by: str) -> Mesh:
+        """Read the mesh that a model calls `name`; `NoMesh` where there is none."""
+        found = self._files.find(name, by)
+        if found is None:
+            raise read.NoMesh(
+                f"{by}: mesh {quoted(name)} does not exist; put the file there or remove the "
+                "<visual>"
+            )
+        if found not in self._cache:
+            self._cache[found] = read.read_mesh(found, self._files)
+        return self._cache[found]
+
+    def _placed(self, by: str, shape: Mesh, kind: str, T: Floats) -> Mesh:
+        self._faces += len(shape.faces)
+        self._vertices += len(shape.vertices)
+        self._check_size(self._faces, self._vertices)
+        vertices = apply(T, shape.vertices)
+        if not (np.abs(vertices) <= MAX_NUMBER).all():
+            raise InvalidSource(
+                f"{by}: its <{kind}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, or the "
+                "unit of its file"
+            )
+        return Mesh(vertices, shape.faces)
+
+    def _check_size(self, faces: int, vertices: int) -> None:
+        if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:
+            raise InvalidSource(
+                f"{self._path}: its visuals have more than {MAX_OBJECT_FACES:,} triangles or "
+                f"{MAX_OBJECT_VERTICES:,} vertices; simplify its meshes or use fewer shapes"
+            )
