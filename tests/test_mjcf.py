@@ -255,6 +255,7 @@ def test_folders_of_models_are_sources(tmp_path):
     assert detect(tmp_path / "a") is None
 
 
+LONG = HINGED.replace("hinge", "x" * 255).replace("door", "x" * 255)
 CLASS = '<default class="a"/>'
 BOX = '<geom type="box" size="1 1 1"/>'
 WEDGES = '<asset><mesh name="w" file="meshes/wedge.obj"/></asset>'
@@ -296,6 +297,7 @@ WEDGES = '<asset><mesh name="w" file="meshes/wedge.obj"/></asset>'
         (f'<replicate count="9">{BOX}</replicate>', "", "save the model with MuJoCo first"),
         (f"<site>{BOX}</site>", "", "is in a <site>"),
         ('<geom type="plane" size="1 1 1"/>', "", "shows no geom"),
+        (LONG.replace("<geom", "<joint/><geom"), "", "is too long"),
         (HINGED * 2001, "", "2,001 <body>, at most 2,000"),
         (BOX * 5001, "", "5,001 <geom>, at most 5,000"),
         ('<geom size="1"/>' * 300, "", "more than 1,000,000 triangles"),

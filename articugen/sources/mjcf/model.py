@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from articugen.core.arrays import Floats
+from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.portable import product, turned
 from articugen.core.records import Joint, JointKind, Mesh
-from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.mjcf.document import Document
 from articugen.sources.mjcf.geoms import NO_SURFACE, Geoms, seen
 from articugen.sources.mjcf.places import place, unit
@@ -85,6 +86,8 @@ class Model:
         """Return `name`, or one like it where a body or joint has that."""
         while name in self._names[tag]:
             name += "~"
+        if len(name.encode()) > MAX_NAME_BYTES:
+            raise InvalidSource(f"{self._document.path}: {quoted(name)} is too long; shorten names")
         self._names[tag].add(name)
         return name
 
