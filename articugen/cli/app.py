@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def _stop_once(stopped: list[int], number: int, frame: FrameType | None) -> None:
-    """The first Ctrl-C or SIGTERM stops the work; what is then put in order takes no second one.
+    """Stop the work at the first Ctrl-C or SIGTERM; a second one does not end the clean-up.
 
     A module that is just being imported may catch whatever is raised there, as trimesh does around
     what is optional, and the work would go on: then the process ends as if it were killed, after

@@ -25,7 +25,7 @@ from articugen.store.outcome import Outcome, Rejection
 
 
 def sources_table(sources: Iterable[Source]) -> RenderableType:
-    """The named sources and the objects they hold; where models are missing, how to get them."""
+    """Return named sources and the objects they hold; where models are missing, how to get them."""
     lines: list[RenderableType] = []
     for source in sources:
         table = facts()
@@ -79,7 +79,8 @@ def plan_table(job: Job, plan: Plan) -> RenderableType:
 
 
 def made_table(manifest: Manifest, folder: object) -> RenderableType:
-    """One screen at the end of a run: what was made, how fast, how large, what was rejected."""
+    """Return one screen at the end of a run: what was made, how fast, how large, what was
+    rejected."""
     splits = Counter(entry.key.split for entry in manifest.objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(splits.items(), reverse=True))
     instances = sum(shard.instances for shard in manifest.shards)
@@ -133,7 +134,7 @@ def _add_left_out(
     rejected: Sequence[Rejection],
     skipped: Sequence[Rejection] = (),
 ) -> None:
-    """A row for each object that failed or was rejected, and one for all that were skipped."""
+    """Add a row for each object that failed or was rejected, and one for all that were skipped."""
     for word, objects in (("failed", failed), ("rejected", rejected)):
         for each in objects:
             table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(each.sentence)}[/]")

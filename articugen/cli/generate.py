@@ -97,7 +97,7 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
 
 
 def _looking(folder: Path) -> str:
-    """The command that shows what a data set holds."""
+    """Return the command that shows what a data set holds."""
     if not called_by_make():
         return command("inspect", folder, "--image", folder / "sheet.png")
     where = [] if str(folder.parent) == "data" else [f"OUT={folder.parent}"]

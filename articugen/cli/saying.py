@@ -54,7 +54,8 @@ def say_error(sentence: str) -> None:
 
 
 def called_by_make() -> bool:
-    """Whether a target of the Makefile calls: what comes next is then said in make's words."""
+    """Return whether a target of the Makefile calls: next steps are then printed in make's
+    words."""
     return os.environ.get("ARTICUGEN_CALLED_BY") == "make"
 
 

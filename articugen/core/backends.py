@@ -22,7 +22,8 @@ class Overlay(Protocol):
     """Keeps the maps of what never moves and draws over them what does, again and again."""
 
     def draw(self, mesh: LabelledMesh, *, closed: Bools, first_face: int) -> DepthMaps:
-        """The faces seen, which hold until the next call; face f of `mesh` is `first_face + f`."""
+        """Draw a mesh and return the faces seen, valid until the next call; face f of `mesh` is
+        `first_face + f`."""
         ...
 
 
@@ -56,7 +57,7 @@ class Backend:
         closed: Bools | None = None,
         keep_depth: bool = True,
     ) -> DepthMaps:
-        """What each of `views` sees of `mesh`.
+        """Render what each of `views` sees of `mesh`.
 
         Args:
             mesh: unit frame.
@@ -90,8 +91,8 @@ class Backend:
     def render_parts(
         self, mesh: LabelledMesh, views: Views, *, closed: Bools | None = None
     ) -> DepthMaps:
-        """As `render`, with faces in any case: of a backend that does not tell them each part is
-        drawn alone, and its first face stands for all of the part where that is the nearest."""
+        """Render with faces in any case: of a backend without faces each part is drawn alone, and
+        its first face stands for all of the part where that is the nearest."""
         if self.tells_faces:
             return self.render(mesh, views, closed=closed)
         depth = np.full((len(views), views.height, views.width), np.inf, np.float32)
@@ -105,7 +106,7 @@ class Backend:
         return DepthMaps(depth, face, views)
 
     def overlay_on(self, static: DepthMaps) -> Overlay | None:
-        """What draws over the maps of part 0; None where the backend has no such thing."""
+        """Return what draws over the maps of part 0; None where the backend has no such thing."""
         return importlib.import_module(self.overlay).Overlay(static) if self.overlay else None
 
     def __post_init__(self) -> None:

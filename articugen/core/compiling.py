@@ -70,7 +70,7 @@ def compile_kernels(
 
 
 def compile_all() -> None:
-    """What every command needs, on all cores."""
+    """Compile what every command needs, on all cores."""
     for command in WARM_UPS:
         compile_kernels(command)
 
@@ -81,7 +81,7 @@ def _warm_up(name: str) -> None:
 
 
 def tetrahedron() -> LabelledMesh:
-    """A closed mesh of four faces, one part."""
+    """Return a closed mesh of four faces, one part."""
     return LabelledMesh(
         np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]),
         np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32),
@@ -90,7 +90,7 @@ def tetrahedron() -> LabelledMesh:
 
 
 def two_views() -> Views:
-    """Of 4 x 4 pixels."""
+    """Return two views of 4 x 4 pixels."""
     two, sides = np.ones(2), np.stack([look_along(way) for way in np.eye(3)[:2]])
     return Views("orthographic", sides, two, two, two, two, 4, 4)
 
@@ -117,7 +117,7 @@ def _folder() -> Path:
 
 
 def _processor() -> tuple[str, str]:
-    """For which numba compiles."""
+    """Return the processor that numba compiles for."""
     asked = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
     if None not in asked:
         return str(asked[0]), str(asked[1])

@@ -46,8 +46,8 @@ _DRAWN_BY = _INSTALLED.parent / "procedural"
 
 
 def model_version(category: str) -> int | str:
-    """What decides the shapes of a category's bundled models: its number in MODELS. One that has
-    none is being drawn still: a digest of its module, so that each change of it is seen at once."""
+    """Return the version of a category's bundled models: its number in MODELS. A category without
+    one is still being drawn: a digest of its module, so that each change shows at once."""
     if category in MODELS:
         return MODELS[category]
     files = sorted((_DRAWN_BY / category).rglob("*.py")) or [_DRAWN_BY / f"{category}.py"]
@@ -56,7 +56,7 @@ def model_version(category: str) -> int | str:
 
 
 def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
-    """All numbers that decide an object's data, as text.
+    """Return all numbers that decide an object's data, as text.
 
     Args:
         models: the category of which it is a bundled model; None for any other object.

@@ -63,7 +63,8 @@ class CorruptShard(ArticugenError):
 
 
 def installing(extra: str) -> str:
-    """The command that brings an extra to the Python at work, wherever articugen came from."""
+    """Return the command that brings an extra to the Python at work, wherever articugen came
+    from."""
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - slow to import
 
     own = os.path.join(os.path.dirname(sys.executable), "pip")
@@ -121,7 +122,8 @@ _NO_LIBRARY_FOR_WANT_OF_MEMORY = ("Cannot allocate memory", "failed to map segme
 
 
 def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
-    """The fault of the machine that `error` is, or that it was raised over; None where it is none.
+    """Return the fault of the machine that `error` is, or that it was raised over; None where it is
+    none.
 
     Readers turn whatever they meet into an `InvalidSource`; what they met tells whose fault it was.
     """

@@ -49,7 +49,7 @@ DYING_SECONDS = 1.0
 
 
 class UnfitFile(OSError):
-    """What is there cannot be read as a file of ours: no regular file, or too large.
+    """Error for a path that is no file of ours: no regular file, or too large.
 
     An OSError with a `strerror`, so that one handler makes a sentence of all that can go wrong with
     a file, but unlike other OSErrors never a fault of the machine.
@@ -100,7 +100,8 @@ def is_plain_file(path: Path) -> bool:
 
 
 def within(folder: Path, name: str) -> Path:
-    """The path of `name`, with slashes, in a folder: never outside, and through no symbolic link.
+    """Return the path of `name`, with slashes, in a folder: never outside, and through no symbolic
+    link.
 
     The folder itself may be one, since it is what somebody named.
 
@@ -186,7 +187,7 @@ def check_place(path: Path) -> None:
 
 
 def partial_name(name: str) -> str:
-    """What a file is called until it is whole: `.<name>.<8 random hex digits>.partial`.
+    """Return the name of a file until it is whole: `.<name>.<8 random hex digits>.partial`.
 
     Each write has a name of its own, so that two writers, a run and what a killed one left behind,
     never write into the same file.
@@ -195,7 +196,8 @@ def partial_name(name: str) -> str:
 
 
 def whole_name(name: str) -> str | None:
-    """What a file that is called `name` would be called once it is whole; None where it is."""
+    """Return the name that the partial file `name` gets once it is whole; None of any other
+    file."""
     match = _PARTIAL.fullmatch(name)
     return match["name"] if match else None
 

@@ -20,7 +20,8 @@ def rotation_about(axis: ArrayLike, angle: float) -> Floats:
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Floats:
-    """The (3, 3) rotation of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return (3, 3) the rotation of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch)
+    Rx(roll)."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     return product(
         rotation_about((0, 0, 1), yaw),
@@ -42,7 +43,8 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
 
 
 def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:
-    """A (4, 4) transform from a (3, 3) rotation and a (3,) translation; each defaults to none."""
+    """Return a (4, 4) transform from a (3, 3) rotation and a (3,) translation; each defaults to
+    none."""
     T = np.eye(4)
     if rotation is not None:
         T[:3, :3] = rotation
@@ -112,7 +114,8 @@ def points_on_triangles(
 
 
 def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> Indices:
-    """(n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights (F,)."""
+    """Return (n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights
+    (F,)."""
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, at * cumulative[-1], side="right")
     return np.minimum(found, len(cumulative) - 1)

@@ -37,7 +37,7 @@ _LONGEST = 60  # letters of a key that its file is called by; a digest tells key
 
 
 class Ledger:
-    """What is made in a place, what of it is finished, and who is at what.
+    """Record of what is made in a place, what of it is finished, and who works on what.
 
     Several ledgers of one place, in as many processes, see each other's records and claims.
 
@@ -95,7 +95,8 @@ class Ledger:
     # --- what is finished
 
     def known(self, keys: Iterable[str] | None = None) -> dict[str, bytes]:
-        """The records of these things, or of all; see `is_damaged` for those that say nothing."""
+        """Return the records of these things, or of all; see `is_damaged` for those that say
+        nothing."""
         if keys is None:
             return self._values(dict.fromkeys(self.recorded()))
         names: dict[str, str | None] = {_file_of(key): key for key in keys}
@@ -171,7 +172,8 @@ class Ledger:
         self.place.delete(n for n, text in zip(names, texts, strict=True) if text == self._who)
 
     def _written(self, key: str) -> dict[int, float]:
-        """When each claim of a thing was written; a later one has taken over an earlier."""
+        """Return the time each claim of a thing was written; a later claim has taken over an
+        earlier."""
         listed = self.place.list(_claims_of(key))
         return {int(name): about.written for name, about in listed.items() if name.isdecimal()}
 
@@ -229,7 +231,7 @@ def _opened(key: str, data: bytes) -> bytes | None:
 
 
 def _key_in(data: bytes | None) -> str | None:
-    """Whose record a file says that it is."""
+    """Return the key of the record in a file."""
     try:
         key = json.loads((data or b"").partition(b"\n")[0])["key"]
     except (ValueError, KeyError, TypeError, RecursionError):

@@ -37,8 +37,8 @@ class Cells(NamedTuple):
 
 
 def cells_of(points: Floats, side: float | None = None) -> Cells:
-    """The `points` (n, 3) in cubes of this side, or larger ones if there would be too many; None
-    makes them so large that there are some three cubes a point at most."""
+    """Sort the `points` (n, 3) into cubes of this side, or larger ones if there would be too many;
+    None makes them so large that there are some three cubes a point at most."""
     low, high = bounds(points)
     extent = float((high - low).max())
     few = max(extent, _ROUNDING) / (1.5 * len(points) ** (1.0 / 3.0))
@@ -160,7 +160,8 @@ def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
 
 @helper
 def _off(cells, axis, cell, at):  # pragma: no cover - compiled
-    """The squared distance of a coordinate from a slab of cells, and rather less; 0 inside."""
+    """Return the squared distance of a coordinate from a slab of cells, and rather less; 0
+    inside."""
     low = cells.low[axis] + cell * cells.side
     gap = max(low - at, at - (low + cells.side)) - _ROUNDING
     return gap * gap if gap > 0.0 else 0.0

@@ -36,7 +36,7 @@ class Table:
     refusal: type[Exception]
 
     def names(self) -> tuple[str, ...]:
-        """Of all, ours and other packages'."""
+        """Return the names of all that are installed, without `ours`, which nobody replaces."""
         return (*self.ours, *_found(self.group, tuple(self.ours)))
 
     def check(self, name: str) -> None:
@@ -58,7 +58,7 @@ class Table:
         return EntryPoint(name, own, self.group).load() if isinstance(own, str) else own
 
     def load_all(self) -> dict[str, Any]:
-        """All of other packages that can be loaded, by name; what cannot is logged."""
+        """Load all that can be loaded, by name, without `ours`; what cannot is logged."""
         return _load_all(self, tuple(self.ours))
 
 

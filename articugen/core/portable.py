@@ -126,7 +126,8 @@ def power(base: ArrayLike, exponent: ArrayLike) -> Any:
 
 
 def _series(x: Floats, coefficients: list[float]) -> Floats:
-    """The polynomial in `x` with these coefficients, the constant one first (Horner's rule)."""
+    """Return the polynomial in `x` with these coefficients, the constant one first (Horner's
+    rule)."""
     total = np.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient

@@ -71,7 +71,7 @@ def _nothing(*_: object) -> None:
 def each(
     function: Callable[[T], R], tasks: Sequence[T], *, workers: int, **options: Any
 ) -> Generator[Ended[R], None, None]:
-    """As `Crew.each`, by a crew of its own with these `options`: closing this ends all tasks."""
+    """Do as `Crew.each`, by a crew of its own with these `options`: closing this ends all tasks."""
     with Crew(function, workers=min(workers, len(tasks)), **options) as crew:
         yield from crew.each(tasks)
 
@@ -79,7 +79,7 @@ def each(
 def in_order(
     function: Callable[[T], R], tasks: Sequence[T], *, workers: int, **options: Any
 ) -> Generator[R, None, None]:
-    """As `Crew.in_order`, likewise."""
+    """Do as `Crew.in_order`, likewise."""
     with Crew(function, workers=min(workers, len(tasks)), **options) as crew:
         yield from crew.in_order(tasks)
 
@@ -389,7 +389,7 @@ class Crew(Generic[T, R]):
 
 
 def _fate(status: int) -> str:
-    """What an exit status tells of a worker that we did not end."""
+    """Return a sentence on a worker that we did not end, by its exit status."""
     if status == -signal.SIGKILL:
         return "was killed (as systems do where memory runs out)"
     if status < 0:

@@ -243,9 +243,9 @@ class Recipe(_Section):
         return self
 
     def text(self) -> str:
-        """The resolved recipe as canonical JSON; equal recipes have equal texts. Keys that came
-        after the first data sets are left out where they ask for nothing: those stay as they are.
-        """
+        """Return the resolved recipe as canonical JSON; equal recipes have equal texts. Keys that
+        came after the first data sets are left out where they ask for nothing: those stay as they
+        are."""
         told = self.model_dump(mode="json")
         for section, keys in _LATER.items():
             usual = type(getattr(self, section))().model_dump(mode="json")
@@ -286,7 +286,8 @@ class Recipe(_Section):
         return getattr(getattr(self, section), name)
 
     def instance_shapes(self) -> dict[str, tuple[int | None, ...]]:
-        """The shape of each field of one instance; None for a number that its object decides."""
+        """Return the shape of each field of one instance; None for a number that its object
+        decides."""
         numbers = {letter: self.at(key) for letter, (_, key) in SYMBOLS.items() if key}
         shapes: dict[str, tuple[int | None, ...]] = {}
         for name, described in self.fields().items():
@@ -304,7 +305,8 @@ class Recipe(_Section):
         }
 
     def for_one_object(self) -> "Recipe":
-        """What of the recipe decides an object's data: neither its name nor numbers and limits."""
+        """Return the part of the recipe that decides an object's data: neither its name nor numbers
+        and limits."""
         fields = Recipe.model_fields
         limits = ("seconds_per_object", "memory_per_object_mb")
         aside = {"name": "object", "objects": None, "max_rejected_fraction": 1.0}

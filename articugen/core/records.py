@@ -27,7 +27,7 @@ class JointKind(IntEnum):
 
     @property
     def stored(self) -> "JointKind":
-        """What a shard says of it: continuous is revolute without limits."""
+        """Kind that a shard has for it: continuous is revolute without limits."""
         return JointKind.REVOLUTE if self is JointKind.CONTINUOUS else self
 
     def __str__(self) -> str:

@@ -158,7 +158,7 @@ def stored(
 
 
 def fields_of(row: type) -> tuple[Field, ...]:
-    """The fields that a dataclass declares by `stored`, with the dtypes of its annotations."""
+    """Return fields that a dataclass declares by `stored`, with the dtypes of its annotations."""
     hints = get_type_hints(row, include_extras=True)
     declared = ((one.name, one.metadata["described"]) for one in fields(row))
     return tuple(
@@ -179,7 +179,7 @@ def _dtype_in(hint: Any) -> str:
 
 
 def resolution_of(name: str) -> int:
-    """Of the grid that a data set of this name holds."""
+    """Return the resolution of the grid in the field of this name."""
     return int(name.rpartition("_")[2])
 
 
@@ -362,7 +362,8 @@ class Instance:
             object.__setattr__(self, described.name, array)
 
     def arrays(self) -> dict[str, Any]:
-        """Every field that it has, by its name in a shard; grids as `occupancy_<resolution>`."""
+        """Return every field that it has, by its name in a shard; grids as
+        `occupancy_<resolution>`."""
         all_fields = {f.name: getattr(self, f.name) for f in fields(self)}
         grids = {
             f"{name}_{r}": grid

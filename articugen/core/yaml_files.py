@@ -69,7 +69,7 @@ def resolved_mapping(
 
 
 def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
-    """What a YAML file holds: mappings, lists, texts, numbers, true, false and null.
+    """Read a YAML file: mappings, lists, texts, numbers, true, false and null.
 
     Each key is given once; there are no aliases, no tags of Python's, no dates.
 
@@ -221,7 +221,8 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _nearest_key(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
-    """The hint for an unknown key: one of its section, or one of that very name in another."""
+    """Return the hint for an unknown key: one of its section, or one of that very name in
+    another."""
     *sections, key = location
     section = model
     for name in sections:

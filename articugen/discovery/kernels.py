@@ -106,8 +106,9 @@ def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, a
 def distances(
     queries, query_normals, motions, points, normals, signed, starts, within, reach, across
 ):  # fmt: skip
-    """Return (K, n) distance of each query point, moved as in each pose, from what may be of the
-    same surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4), `within` as in `is_void`."""
+    """Return (K, n) the distance of each query point, moved as in each pose, from what may be of
+    the same surface in that pose; FAR beyond `reach`. `motions` (K, 3, 4), `within` as in
+    `is_void`."""
     out = np.full((len(motions), len(queries)), FAR, np.float32)
     for k in range(len(motions)):
         for i in range(len(queries)):
@@ -281,8 +282,9 @@ def _shape(C, normal, stiffness):  # noqa: PLR0912 - two rotations a line each
 
 @kernel
 def shapes(queries, points, starts, reach):
-    """Return shape of what is within `reach` of each query: (n, 3) the unit normal, of either sign,
-    of the plane through it, zeros where that is no plane; (n, 3, 3) its stiffness, see `_shape`."""
+    """Return the shape of what is within `reach` of each query: (n, 3) the unit normal, of either
+    sign, of the plane through it, zeros where that is no plane; (n, 3, 3) its stiffness, see
+    `_shape`."""
     out, stiffness = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
     C = np.zeros((3, 3))
     for i in range(len(queries)):

@@ -288,7 +288,8 @@ def _measure_shape(
 def _nearest_parts(
     instance: Instance, predicted: Reconstruction, protocol: Protocol
 ) -> tuple[Ints, Ints]:
-    """Return predicted part (n,) that is nearest to each surface point, and its true one (n,)."""
+    """Return the predicted part (n,) that is nearest to each surface point, and its true one
+    (n,)."""
     points, true = surface_of(instance, protocol.points)
     return metrics.nearest_part(points, predicted.triangles, predicted.part, predicted.parts), true
 

@@ -41,7 +41,8 @@ def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats
 
 
 def labels_from(table: Floats) -> Ints:
-    """Return (P,) true part that each predicted part gets most votes from; NO_LABEL without any."""
+    """Return (P,) the true part that each predicted part gets most votes from; NO_LABEL without
+    any."""
     return np.where(table.sum(1) > 0, table.argmax(1), NO_LABEL)
 
 
@@ -142,7 +143,8 @@ def chamfer_l1(to_true: Floats, to_predicted: Floats) -> float:
 
 
 def f_score(to_true: Floats, to_predicted: Floats, threshold: float) -> float:
-    """Return harmonic mean of precision and recall: shares of points nearer than the threshold."""
+    """Return the harmonic mean of precision and recall: shares of points nearer than the
+    threshold."""
     precision, recall = np.mean(to_true < threshold), np.mean(to_predicted < threshold)
     return float(2.0 * precision * recall / max(precision + recall, 1e-12))
 

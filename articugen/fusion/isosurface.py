@@ -16,7 +16,8 @@ _AT_A_TIME = 1 << 20  # voxels whose sign is asked at a time
 def extract_mesh(
     field: FusedField | PosedSolids, resolution: int, *, box: Floats | None = None
 ) -> Mesh:
-    """Return zero level of `field` in the unit cube as a closed mesh, unit frame, faces outwards.
+    """Return the zero level of `field` in the unit cube as a closed mesh, unit frame, faces
+    outwards.
 
     Marching cubes on the voxel centres of a grid of `resolution`^3. Only voxels beside a
     change of sign are evaluated in full.

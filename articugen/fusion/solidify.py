@@ -53,7 +53,8 @@ class Probes:
 
 
 def welded(vertices: Floats) -> Indices:
-    """Return (V,) same number for vertices at the same place (within 1e-6 of the unit frame)."""
+    """Return (V,) the same number for vertices at the same place (within 1e-6 of the unit
+    frame)."""
     return np.unique(_key(*np.round(vertices * 2.0**20).astype(np.int64).T), return_inverse=True)[1]
 
 
@@ -317,7 +318,8 @@ def _join(parent, side, a, b, turn):
 
 @helper
 def _settle(parent, side, c):
-    """Return root of corner `c` and make it its parent; its side is then that towards the root."""
+    """Return the root of corner `c` and make it its parent; its side is then that towards the
+    root."""
     root, turn = c, 1.0
     while parent[root] != root:
         turn *= side[root]

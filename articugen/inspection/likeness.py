@@ -72,18 +72,18 @@ class Likeness:
 
     @property
     def floor(self) -> tuple[float, float]:
-        """How far an object is from itself, seen by other points: in the first and the second."""
+        """Distance of an object from itself, seen by other points: in the first set and the
+        second."""
         return self.first.floor, self.second.floor
 
     @property
     def reached(self) -> float:
-        """How far objects of the second set are from their nearest in the first, on average."""
+        """Mean distance of objects of the second set from their nearest in the first."""
         return float(self.between.min(axis=1).mean())
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All there is to say in numbers; quantiles 0.1, 0.5 and 0.9 of each measure that any
-        object has."""
+        """Return all numbers; quantiles 0.1, 0.5 and 0.9 of each measure that any object has."""
         numbers = {
             "first: objects": len(self.first.chosen), "second: objects": len(self.second.chosen),
             "first: pairs": self.pairs[0], "second: pairs": self.pairs[1],

@@ -24,7 +24,7 @@ OBJECTS, STATES = 2, 4  # of a contact sheet: a glance, drawn in seconds
 
 
 def of_data(data: DataSet) -> str:
-    """A small contact sheet of the objects of a data set, as HTML."""
+    """Return a small contact sheet of the objects of a data set, as HTML."""
     from articugen.pictures.contact_sheet import contact_sheet
 
     try:
@@ -38,7 +38,7 @@ def of_data(data: DataSet) -> str:
 
 
 def of_row(row: Row) -> str:
-    """The surface points of a row, coloured by part, as HTML."""
+    """Return the surface points of a row, coloured by part, as HTML."""
     from articugen.pictures.portrait import AZIMUTHS, pooled, portrait, tile_camera
 
     if len(row.surface) < 2:

@@ -22,7 +22,8 @@ from articugen.store.manifest import Manifest
 
 
 def generator_of(ref: ObjectRef, recipe: str) -> str:
-    """What of our code decides the data of an object by a recipe of this text: see `content`."""
+    """Return the versions of our code that decide the data of an object by a recipe of this text:
+    see `content`."""
     return content.declared(ref.category if ref.is_made else None, recipe, ref.forms)
 
 

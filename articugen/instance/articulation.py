@@ -44,7 +44,8 @@ def resolve(
     canonical: Canonical = "zero",
     movable: Sequence[str] = (),
 ) -> ResolvedObject:
-    """The object as the recipe wants it: q = 0 is the canonical pose, limits are what is sampled.
+    """Return the object as the recipe wants it: q = 0 is the canonical pose, limits are what is
+    sampled.
 
     A joint that moves counts up from the canonical pose: its axis is turned around where the limits
     of the URDF leave more room on the other side. A joint that does not move becomes `fixed` in its
@@ -101,7 +102,8 @@ def resolve(
 
 
 def canonical_state(obj: ArticulatedObject) -> JointState:
-    """All drivers at 0, driven joints where that puts them (0 too, in a resolved object)."""
+    """Return the joint state with all drivers at 0 and driven joints where that puts them (0 too,
+    in a resolved object)."""
     return driven_state(obj, {})
 
 
@@ -117,7 +119,7 @@ def driven_state(obj: ArticulatedObject, drivers: Mapping[str, float]) -> JointS
 
 
 def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> JointState:
-    """A joint state of a resolved object: each driver uniform in its range, the others follow.
+    """Draw a joint state of a resolved object: each driver uniform in its range, the others follow.
 
     Draws one number a driver, in part order.
     """
@@ -225,7 +227,8 @@ def _plan_driver(
 def _sampled_range(
     joint: Joint, value: float, settings: Articulation
 ) -> tuple[float, float, float]:
-    """(sign, lower, upper): the axis is turned around for sign -1; the range is about `value`."""
+    """Return (sign, lower, upper): the axis is turned around for sign -1; the range is about
+    `value`."""
     below, above = value - joint.lower, joint.upper - value
     sign = -1.0 if below > above + _TIE else 1.0
     back, room = min(below, above), max(below, above)
@@ -275,7 +278,8 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
 
 
 def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, float]:
-    """(name, multiplier, offset) of the joint that drives `joint` at the end of all mimics."""
+    """Return (name, multiplier, offset) of the joint that drives `joint` at the end of all
+    mimics."""
     multiplier, offset, seen = 1.0, 0.0, {joint.name: None}
     while joint.mimic is not None and joint.kind != JointKind.FIXED:
         mimic = joint.mimic
@@ -346,7 +350,8 @@ def _part_boxes(obj: ArticulatedObject) -> Floats:
 
 
 def _levels(values: Floats, gap: float) -> list[int]:
-    """The number of the level that each value is on; levels ascend, more than `gap` apart."""
+    """Return the number of the level that each value is on; levels ascend, more than `gap`
+    apart."""
     order = np.argsort(values, kind="stable")
     levels = np.zeros(len(values), int)
     levels[order[1:]] = np.cumsum(np.diff(values[order]) > gap)

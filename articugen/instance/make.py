@@ -66,7 +66,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
 
 
 def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> Bytes:
-    """As `fields.labels` of all voxels, from what is known of them in every pose."""
+    """Return the labels of all voxels, by what is known of them in every pose."""
     label = grid.fixed.copy()
     material = fields.material
     for part in reversed(range(1, len(material.own))):  # where they overlap the first one counts
@@ -107,7 +107,7 @@ def _coverage(
 
 
 def _joint_fields(p: Prepared, state_index: int) -> dict[str, NDArray]:
-    """What describes the joints; lengths in the unit frame."""
+    """Return the fields that describe the joints; lengths in the unit frame."""
     state = p.states[state_index]
     posed = articulation.forward_kinematics(p.obj, state)
     joints = p.obj.moving_joints

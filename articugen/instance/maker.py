@@ -76,7 +76,7 @@ class Model:
 
     @property
     def joints(self) -> tuple[Joint, ...]:
-        """Those of its file that can move."""
+        """Joints of its file that can move."""
         return tuple(joint for joint in self.obj.joints if joint.kind != JointKind.FIXED)
 
     def __repr__(self) -> str:
@@ -273,13 +273,13 @@ class Maker(Sequence[Made]):
 
     @property
     def joints(self) -> tuple[Joint, ...]:
-        """Those that move, in part order: joint j moves part j + 1. `lower` and `upper` are the
+        """Joints that move, in part order: joint j moves part j + 1. `lower` and `upper` are the
         range that states are sampled from, rad or m from the canonical pose."""
         return self.obj.moving_joints
 
     @cached_property
     def prepared(self) -> Prepared:
-        """What all instances share; it takes a second or more."""
+        """Preparation that all instances share; it takes a second or more."""
         return prepare(self.obj, self.recipe, self.seed)
 
     def __len__(self) -> int:

@@ -60,7 +60,8 @@ class Grid:
         return Grid(points, alone.labels(points))
 
     def within(self, box: Floats) -> Indices:
-        """The flat indices of the voxels whose centres lie in the box (2, 3), and some around."""
+        """Return the flat indices of the voxels whose centres lie in the box (2, 3), and some
+        around."""
         resolution = round(len(self.points) ** (1 / 3))
         low, high = np.clip(np.floor((box + 0.5) * resolution).astype(int), 0, resolution - 1)
         x, y, z = (np.arange(a, b + 1) for a, b in zip(low, high, strict=True))
@@ -136,7 +137,7 @@ class Extras:
 def prepare(
     obj: ResolvedObject, recipe: Recipe, seed: int, *, reach: Sequence[JointState] = ()
 ) -> Prepared:
-    """Everything that the instances of `obj` share.
+    """Prepare everything that the instances of `obj` share.
 
     Args:
         obj: what `articulation.resolve` makes of an object and the recipe.
@@ -321,7 +322,8 @@ def _extras(
     recipe: Recipe,
     rng: Callable[[str], np.random.Generator],
 ) -> Extras:
-    """What the recipe asks for besides; `swept` (2, 3) holds the object in all its states."""
+    """Return what the recipe asks for besides; `swept` (2, 3) holds the object in all its
+    states."""
     sampling, images = recipe.sampling, recipe.images
     visible = edges = colliding = cameras = None
     if sampling.signed_distance:
@@ -337,7 +339,7 @@ def _extras(
 
 
 def canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:
-    """All links in the canonical pose, world frame, metres; the links of part 0 first."""
+    """Return all links in the canonical pose, world frame, metres; the links of part 0 first."""
     part_of_link = obj.part_of_link
     pieces = []
     for index in np.argsort(part_of_link, kind="stable"):
@@ -358,7 +360,7 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
 
 
 def own_solid(part: fusion.SolidPart, recipe: Recipe) -> fusion.OwnSolid:
-    """What the recipe's views of a part alone say of it."""
+    """Return the solid of a part alone, by the recipe's views of it."""
     return fusion.seen_alone(part, recipe.fusion, partial(_render_alone, recipe))
 
 

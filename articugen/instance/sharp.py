@@ -105,7 +105,8 @@ def _facing(edge: Indices, normals: Floats, ends: Floats, apex: Floats) -> Indic
 
 
 def _widest(edge: Indices, normals: Floats, pairs: Indices) -> tuple[Floats, Indices]:
-    """For each edge the least cosine between the normals of its pairs of rows, and that pair."""
+    """Return for each edge the least cosine between the normals of its pairs of rows, and that
+    pair."""
     one, other = pairs.T
     cosine = dot(normals[one], normals[other])
     order = np.lexsort((cosine, edge[one]))

@@ -261,7 +261,8 @@ def clock_of(device: str) -> Callable[[], float]:
 
 
 def shared_folder(run: RunFolder) -> Path:
-    """Return folder of all runs of a category; the runs of a race lie two folders deeper in it."""
+    """Return the folder of all runs of a category; the runs of a race lie two folders deeper in
+    it."""
     above = run.path.parent
     return above.parent.parent if above.name == SEEDS else above
 

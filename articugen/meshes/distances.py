@@ -21,7 +21,8 @@ LEAF = 6  # so many triangles at most share a box that is not divided further
 
 
 def distance(points: Floats, triangles: Floats) -> Floats:
-    """Return (n,) distance from each point to the nearest of the triangles (F, 3, 3); inf if none.
+    """Return (n,) the distance from each point to the nearest of the triangles (F, 3, 3); inf if
+    none.
 
     Points count as triangles whose corners coincide.
     """

@@ -25,7 +25,8 @@ _EDGES: list[_Edge] = [(c, c + step) for step in _STEPS for c in range(8) if not
 
 
 def zero_level(field: NDArray[np.floating]) -> Mesh:
-    """Return surface field = 0 of a grid (R, R, R), unit frame, faces outwards; inside is above 0.
+    """Return the surface field = 0 of a grid (R, R, R), unit frame, faces outwards; inside is above
+    0.
 
     Samples are at the voxel centres (i + 0.5) / R - 0.5, indexed [x, y, z]; between two of them the
     field counts as linear. Nothing is inside beyond the grid: there the surface closes up to half a

@@ -126,7 +126,8 @@ class ModelFiles:
         return data
 
     def sha256(self) -> str:
-        """Return hex digest over names (relative to the root) and bytes of every file read so far.
+        """Return the hex digest over names (relative to the root) and bytes of every file read so
+        far.
 
         Neither the order of reading nor the place of the model on the disk matters.
         """
@@ -250,7 +251,8 @@ def _existing(path: Path) -> Path | None:
 
 
 def _package_name(path: Path) -> str | None:
-    """Return name of a package by its package.xml; None where there is none that can be read."""
+    """Return the name of a package by its package.xml; None where there is none that can be
+    read."""
     try:
         return parse_xml(read_source(path, MAX_TEXT_BYTES), path).findtext("name", "").strip()
     except InvalidSource:

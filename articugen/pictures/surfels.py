@@ -177,7 +177,8 @@ def _covers(points, normals, part, source, sources, cells, reach):
 
 @kernel
 def _outline(points, normals, across, part, spacing, cells, rank):
-    """Return radius of each disc, the neighbours across a convex edge in one list, and its reach.
+    """Return the radius of each disc, the neighbours across a convex edge in one list, and its
+    reach.
 
     The radius is the distance to the neighbour of the given rank on the same face, or two spacings
     where there are fewer. Neighbour j bounds disc i where each lies behind the other and the

@@ -23,7 +23,7 @@ Name = tuple[str, str]
 
 
 class CommonPlan(BaseModel):
-    """What is made in a place; processes that share out the objects are all asked for the same.
+    """Plan of a place; processes that share out the objects are all asked for the same.
 
     Attributes:
         objects: how many.
@@ -65,7 +65,7 @@ class CommonPlan(BaseModel):
             )
 
     def recipe_of_objects(self) -> str:
-        """The digest that shards of it have of their recipe; "" if it is of another version."""
+        """Digest that shards of it have of their recipe; "" if it is of another version."""
         recipe = Recipe.of_text(self.recipe)
         return recipe.for_one_object().sha256() if recipe else ""
 
@@ -130,8 +130,8 @@ def record_in(ledger: Ledger, outcome: Outcome) -> None:
 
 
 def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
-    """What another process has just recorded of an object in a store; None where that is not of
-    the same object, made in the same way, and there."""
+    """Return what another process has just recorded of an object in a store; None where that is not
+    of the same object, made in the same way, and there."""
     name = key_of(key.name)
     try:
         outcome = Outcome.model_validate_json(ledger.known([name]).get(name, b""))

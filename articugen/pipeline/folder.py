@@ -28,8 +28,8 @@ def listed(folder: Path) -> list[str]:
 
 
 def is_shard_of_ours(folder: Path, name: str, about: CommonPlan | None = None) -> bool:
-    """Whether a file is what runs write, a shard of the split that it is called by, and made for
-    `about`: a record is a file like any other, and may name what is somebody's own."""
+    """Return whether a file is a shard that runs wrote, of the split in its name and made for
+    `about`: a record is a file like any other, and may name somebody else's file."""
     called = _SHARD.fullmatch(name)
     if called is None or not is_plain_file(folder / name):
         return False
@@ -62,7 +62,8 @@ def is_whole(folder: Path, outcome: Outcome, *, sizes_only: bool) -> bool:
 
 
 def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
-    """Whether a shard that no record names was made for the plan of a run that was killed."""
+    """Return whether a shard that no record names was made for the plan of a run that was
+    killed."""
     called = _SHARD.fullmatch(name)
     if called is None or about is None or int(called["number"]) >= about.objects:
         return False

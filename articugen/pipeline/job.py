@@ -109,5 +109,5 @@ class Job:
 
     @property
     def is_shared(self) -> bool:
-        """Whether other processes, which this one does not know, may be at work on the same."""
+        """True where other processes, unknown to this one, may work on the same objects."""
         return bool(self.share or isinstance(self.out, Remote) or self.executor.records)

@@ -93,7 +93,8 @@ def _is_other(task: Task, digest: str) -> bool:
 
 
 def _changed(task: Task) -> Outcome:
-    """Of an object whose files are others now, or gone, as with a disk: that is no fault of it."""
+    """Return the outcome of an object whose files have changed or are gone, as with a disk: that is
+    no fault of it."""
     reason = "its files changed, or are gone, since the run began; run it again once they are there"
     return Outcome(failed=Rejection(key=task.key, reason=reason))
 
@@ -154,7 +155,8 @@ def source_digest(recipe: Recipe, ref: ObjectRef) -> str:
 
 
 def import_stages() -> None:
-    """What takes a worker seconds once, and is no object's fault; before its clock starts."""
+    """Import what takes a worker seconds once, and is no object's fault; before its clock
+    starts."""
     import articugen.instance.articulation  # noqa: PLC0415
     import articugen.instance.make  # noqa: PLC0415, F401
 

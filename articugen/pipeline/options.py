@@ -24,7 +24,7 @@ RecipeLike = Union[str, Path, Mapping[str, Any], "Recipe", None]
 
 @dataclass(frozen=True)
 class ObjectReport:
-    """What became of one object.
+    """Outcome of one object.
 
     Attributes:
         shard: its file, "" where there is none.
@@ -70,7 +70,7 @@ CHANGES = option(
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked of `generate`."""
+    """Options of `generate`."""
 
     category: str | Sequence[str] = option(
         MISSING,

@@ -47,7 +47,7 @@ _HOPELESS = 4
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run would do.
+    """Plan of a run.
 
     Attributes:
         keys: of all objects.
@@ -117,8 +117,8 @@ def objects_of(job: Job, source: Source) -> tuple[ObjectRef, ...]:
 
 
 def _is_of_category(recipe: Recipe, ref: ObjectRef) -> bool:
-    """Whether something of an object moves in the recipe's sense; no mesh is read. One that cannot
-    be read counts: its turn comes to be refused, with the reason."""
+    """Return whether a part of an object moves in the recipe's sense; no mesh is read. One that
+    cannot be read counts: its turn comes to be refused, with the reason."""
     from articugen.instance.again import resolved  # noqa: PLC0415 - slow to import
     from articugen.meshes.read import wanting  # noqa: PLC0415
 
@@ -219,7 +219,8 @@ def _key(job: Job, ref: ObjectRef, read_from: str, generator: str) -> Key:
 
 
 def plain_name(object_id: str) -> str:
-    """The name that stands for an object whose own no file could hold, unlike any other's."""
+    """Return the name that stands for an object whose own no file could hold, unlike any
+    other's."""
     plain = printable(object_id)
     if plain == object_id:
         return plain
@@ -229,8 +230,8 @@ def plain_name(object_id: str) -> str:
 def _read(
     job: Job, refs: Sequence[ObjectRef], limit: processes.Limit
 ) -> Sequence[processes.Ended[str]]:
-    """What each object is read from. A procedural one is what our code makes of its name; the files
-    of others are digested by workers, which make nothing of their meshes."""
+    """Return the files each object is read from. A procedural one is made of its name; others'
+    files are digested by workers, which make nothing of their meshes."""
     if all(ref.is_made for ref in refs):
         return [processes.Ended(i, f"{r.source}/{r.object_id}") for i, r in enumerate(refs)]
     read = processes.each(
@@ -245,7 +246,8 @@ def _read(
 
 
 def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[ObjectEntry]) -> float:
-    """Of the clock, to make `objects` objects; `done` are some that this recipe made before."""
+    """Estimate seconds of the clock to make `objects` objects; `done` are some that this recipe
+    made before."""
     if objects == 0:
         return 0.0
     expected = sum(object_seconds(recipe, entry.instances) for entry in done)
@@ -257,7 +259,7 @@ def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[Objec
 
 
 def object_seconds(recipe: Recipe, instances: int) -> float:
-    """Of one worker, for one object."""
+    """Estimate seconds of one worker for one object."""
     views, sampling = recipe.views, recipe.sampling
     voxels = sum(resolution**3 for resolution in sampling.grids)
     shared = 0.6 + views.count * views.resolution**2 * 7.5e-8 + voxels * 3.3e-7
@@ -267,7 +269,7 @@ def object_seconds(recipe: Recipe, instances: int) -> float:
 
 
 def instance_bytes(recipe: Recipe, done: Sequence[ShardEntry] = ()) -> int:
-    """Of an instance in its shard; `done` are some that this recipe made before."""
+    """Estimate bytes of an instance in its shard; `done` are some that this recipe made before."""
     if done:
         return sum(shard.bytes for shard in done) // sum(shard.instances for shard in done)
     fields, sizes = recipe.fields(), recipe.instance_bytes()

@@ -54,7 +54,7 @@ _BEFORE = f"{LEDGER}/{MANIFEST_NAME}"
 
 
 class Records:
-    """What a place holds already, and the record of a run in it.
+    """Records of a place, and of a run in it.
 
     Nothing is believed that is not there as it was recorded: a shard in a folder counts only with
     the size and digest that its record states, or, where somebody has added a group `user`, with
@@ -170,7 +170,8 @@ class Records:
         return None if self.why(key) else self.outcomes[key.name]
 
     def is_complete(self, keys: Sequence[Key]) -> bool:
-        """Whether a run for `keys` has nothing to do: all made, and the manifest says just that."""
+        """Return whether a run for `keys` has nothing to do: all made, and the manifest says just
+        that."""
         if self.manifest is None or self._has_news:
             return False
         if self._folder is not None and self.ledger.files():
@@ -197,7 +198,8 @@ class Records:
         )
 
     def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:
-        """A shard's name for each object: the one it has where it is finished, else a free one.
+        """Return a shard's name for each object: the one it has where it is finished, else a free
+        one.
 
         In a new folder that is `<split>-<place among the keys of its split>.h5`; shares take these
         names, whatever they have seen of the others' work.
@@ -269,7 +271,8 @@ class Records:
             self._trusted[outcome.shard.name] = outcome.shard, True
 
     def recorded(self, key: Key) -> Outcome | None:
-        """What another process has recorded of an object; None where its shard is not there."""
+        """Return what another process has recorded of an object; None where its shard is not
+        there."""
         assert isinstance(self.place, Bucket)
         return recorded(self.ledger, self.place, key)
 
@@ -303,7 +306,8 @@ class Records:
     # --- what is left over
 
     def leftovers(self) -> dict[str, str]:
-        """What killed runs left in a folder, in the order to remove it, and why it is not needed.
+        """Return leftovers of killed runs in a folder, in the order to remove them, and why each is
+        not needed.
 
         No worker may be at work. Shards that are recorded, and the records of a run that can go on,
         are none.
@@ -311,7 +315,7 @@ class Records:
         return self._leftovers(self.manifest if self._tells_all() else None)
 
     def _leftovers(self, whole: Manifest | None) -> dict[str, str]:
-        """As `leftovers`; `whole` is a manifest that tells of all that is recorded."""
+        """Return the leftovers; `whole` is a manifest of all that is recorded."""
         found = dict.fromkeys(self._temporary(), "a temporary file")
         named = {shard.name for shard in whole.shards} if whole else set[str]()
         orphans = [name for name in self._unrecorded() if name not in named]
@@ -328,7 +332,7 @@ class Records:
         return found
 
     def _tells_all(self) -> bool:
-        """Whether the manifest tells of what shares have recorded, too; if not, merge them."""
+        """Return whether the manifest has all that shares have recorded; if not, merge them."""
         if self.manifest is None:
             return False
         is_of_shares = self.agreed is not None and self.agreed.shares > 0
@@ -430,7 +434,8 @@ class Records:
         return trusted
 
     def _is_whole(self, outcome: Outcome) -> bool:
-        """Whether a shard is the file that was recorded, or that with a group `user` besides."""
+        """Return whether a shard is the file that was recorded, or that with a group `user`
+        besides."""
         assert outcome.shard
         if self._folder is not None:
             return is_whole(self._folder, outcome, sizes_only=self._sizes_only)

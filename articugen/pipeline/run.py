@@ -47,8 +47,8 @@ _NAMED, _NUMBERS = 5, 100
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run came to: what became of each of its objects, those that were there already first,
-    and the manifest; None for a share."""
+    """Outcome of a run: that of each of its objects, those that were there already first, and the
+    manifest; None for a share."""
 
     outcomes: Sequence[Outcome]
     manifest: Manifest | None
@@ -158,8 +158,8 @@ class Run:
     def _make(
         self, executor: Executor | None, on_object: OnObject, on_notice: OnNotice
     ) -> tuple[list[Outcome], int]:
-        """What became of all objects of the plan: of those that are there, then of the others,
-        which are made and recorded; how many instances were made."""
+        """Make all objects of the plan that are missing; return the outcomes, of those that are
+        there first, and how many instances were made."""
         plan, outcomes, instances = self.plan, list(self.plan.done), 0
         for outcome in outcomes:
             on_object(report_of(outcome, reused=True))
@@ -193,8 +193,8 @@ class Run:
     def _outcomes(
         self, executor: Executor | None, on_notice: OnNotice
     ) -> Iterator[tuple[Outcome, bool]]:
-        """What became of each task, and whether another process made it. In a store objects are
-        claimed one by one, and those that others are at are waited for."""
+        """Yield the outcome of each task, and whether another process made it. In a store objects
+        are claimed one by one, and those of others are waited for."""
         if executor is None or not self.plan.tasks:
             return
         todo, waiting, is_said = list(self.plan.tasks), list[Task](), False
@@ -224,7 +224,8 @@ class Run:
     def _made(
         self, tasks: Sequence[Task], executor: Executor, on_notice: OnNotice
     ) -> Iterator[tuple[Task, Outcome | None]]:
-        """What became of each task, once it is recorded; None where another process is at it."""
+        """Yield the outcome of each task, once it is recorded; None where another process works on
+        it."""
         records = self.records
         claim = records.ledger.claims if isinstance(self.job.out, Remote) else None
         work = Work(self.job, self.objects, handles=records.handles, claim=claim)
@@ -237,7 +238,7 @@ class Run:
                 yield task, outcome
 
     def _missing(self) -> str:
-        """Which objects are missing, and what makes them."""
+        """Return which objects are missing, and what makes them."""
         plan, about = self.plan, self.records.agreed
         assert about is not None
         names = [t.key.object_id if t.why == NEVER_MADE else t.why for t in plan.tasks]
@@ -255,7 +256,8 @@ class Run:
 def outcomes_of(
     work: Work, tasks: Sequence[Task], executor: Executor, on_notice: OnNotice
 ) -> Generator[tuple[Task, Outcome | None, bool], None, None]:
-    """The outcome of each task, as they finish, and whether it is recorded; see `Executor.ends`."""
+    """Yield the outcome of each task, as they finish, and whether it is recorded; see
+    `Executor.ends`."""
     limit = limit_of(work.job.recipe)
     is_recorded = executor.records or work.claim is not None
     with closing(executor.ends(work, tasks, on_notice)) as ends:
@@ -319,7 +321,7 @@ def _shortfall(outcomes: Sequence[Outcome], recipe: Recipe) -> str | None:
 
 
 def timings_of(instances: int, seconds: float, jobs: int) -> Timings:
-    """Of a run by this process and its workers, which ends now."""
+    """Return the timings of a run by this process and its workers, which ends now."""
     unit = 1 if sys.platform == "darwin" else 1024
     peak = max(
         resource.getrusage(who).ru_maxrss

@@ -52,7 +52,8 @@ def build_model(category: str, object_id: str, *, varied: bool = False) -> Model
 
 
 def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], Model] | None:
-    """Return function that makes the models of a category; None of one that has no varied ones."""
+    """Return the function that makes the models of a category; None of one that has no varied
+    ones."""
     module = importlib.import_module(f"{__name__}.{category}")
     return getattr(module, "build_varied" if varied else "build", None)
 

@@ -21,8 +21,8 @@ def visible(base: Path) -> list[Path]:
 
 
 def ending_in(folder: Path, suffix: str) -> list[Path]:
-    """What in a folder ends in `suffix`, such as .urdf, in letters of either case; the shortest
-    name first."""
+    """Return the paths in a folder that end in `suffix`, such as .urdf, in letters of either case;
+    the shortest name first."""
     found = (path for path in folder.glob("*") if path.suffix.lower() == suffix)
     return sorted(found, key=lambda path: (len(path.name), path.name))
 

@@ -18,12 +18,13 @@ def detect(path: Path) -> Found | None:
 
 
 def object_id(category: str, index: int) -> str:
-    """The id of a category's object number `index`, for instance "laptop_0003"."""
+    """Return the id of a category's object number `index`, for instance "laptop_0003"."""
     return f"{category}_{index:04d}"
 
 
 def index_of(category: str, object_id: str) -> int | None:
-    """The number of the object of that id, for the first ten thousand; None where it is no id."""
+    """Return the number of the object of that id, for the first ten thousand; None where it is no
+    id."""
     found = re.fullmatch(rf"{re.escape(category)}_([0-9]{{4}})", object_id)
     return int(found[1]) if found else None
 

@@ -42,12 +42,12 @@ class Found:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What its category is called: by its folder, then by itself, where either says."""
+        """Names of its category: by its folder, then by itself, where either has one."""
         return tuple(filter(None, (self.folder, self.category)))
 
 
 class CategorySettings(Section):
-    """What a source says about one of its categories.
+    """Settings of one category of a source.
 
     Attributes:
         canonical: the joint value that is the canonical pose: 0, the lower or the upper limit.
@@ -76,7 +76,7 @@ class CategorySettings(Section):
         return transform(rotation_about((0.0, 0.0, 1.0), np.radians(self.yaw_degrees)))
 
     def said(self) -> str:
-        """What of it decides how an object stands and moves, as text."""
+        """Return as text the settings that decide how an object stands and moves."""
         return self.model_dump_json(include={"canonical", "movable", "yaw_degrees"})
 
     @field_validator("train", "test", mode="before")
@@ -101,7 +101,7 @@ class CategorySettings(Section):
 
 @dataclass(frozen=True)
 class ObjectRef:
-    """Where one object comes from, and all that its source says of it; cheap and picklable.
+    """Reference to one object, with all that its source says of it; cheap and picklable.
 
     Attributes:
         source: a source's name or the path of a file or folder.
@@ -135,5 +135,5 @@ class ObjectRef:
 
     @property
     def forms(self) -> tuple[str, ...]:
-        """Which of `content.FORMS` it has."""
+        """Forms of `content.FORMS` that it has."""
         return ("varied",) * self.varied + ("rough",) * (self.messy > 1)

@@ -60,7 +60,8 @@ class _Dof(BaseModel):
 
 
 def detect(path: Path) -> Found | None:
-    """The model that a folder of the raw layout is; one of the URDF form looks like any URDF's."""
+    """Return the model that a folder of the raw layout is; one of the URDF form looks like any
+    URDF's."""
     return _found(path) if isfile(path / _ATTRIBUTES) and isdir(path / "part_objs") else None
 
 

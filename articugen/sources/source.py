@@ -64,7 +64,7 @@ class Source:
 
     @property
     def clips(self) -> bool:
-        """Whether joints stay inside the limits of the URDF where the recipe leaves it to the
+        """True where joints stay inside the limits of the URDF where the recipe leaves it to the
         source: those of models that others made do."""
         return self.yaml is None or self.file.clip_to_limits
 
@@ -75,7 +75,7 @@ class Source:
 
     @property
     def is_made(self) -> bool:
-        """Whether its objects are made on demand, by a generator."""
+        """True where its objects are made on demand, by a generator."""
         return self.maker is not None
 
     def categories(self, wanted: Sequence[str]) -> tuple[str, ...]:

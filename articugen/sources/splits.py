@@ -58,7 +58,8 @@ def take(left: dict[str, int], split: str) -> bool:
 def _test_groups(
     group_of: Mapping[str, str], fraction: float, counts: Callable[[str], bool]
 ) -> set[str]:
-    """The groups whose hash, as a number in [0, 1), is below `fraction`; see `assign_splits`."""
+    """Return the groups whose hash, as a number in [0, 1), is below `fraction`; see
+    `assign_splits`."""
     members: dict[str, list[str]] = {}
     for name, group in group_of.items():
         members.setdefault(group, []).append(name)

@@ -111,8 +111,8 @@ def load_object(
 
 
 def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
-    """The shape (lxml) of each of a link's visuals and T_link_visual; yourdfpy, which knows no
-    capsules and builds no mesh here, gets a sphere in the place of each."""
+    """Take out each link's visuals: shape (lxml) and T_link_visual. yourdfpy, which knows no
+    capsules and builds no mesh here, gets a sphere instead."""
     taken: dict[str, list[tuple[Any, Floats]]] = {}
     for link in checked.findall("link"):
         own = taken[link.get("name")] = []
@@ -125,8 +125,8 @@ def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
 
 
 def _take_origin(element: Any) -> Floats:
-    """(4, 4) where a joint or visual stands, by our arithmetic: yourdfpy's last bits depend on the
-    processor."""
+    """Take out (4, 4) where a joint or visual stands, by our arithmetic: yourdfpy's last bits
+    depend on the processor."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
@@ -137,14 +137,15 @@ def _take_origin(element: Any) -> Floats:
 
 @lru_cache(1024)
 def _rotation(rpy: str) -> Floats:
-    """(3, 3) of three angles; a model says the same ones, mostly zeros, at each of its visuals."""
+    """Return (3, 3) of three angles; a model says the same ones, mostly zeros, at each of its
+    visuals."""
     rotation = rotation_from_rpy([float(word) for word in rpy.split()])
     rotation.flags.writeable = False
     return rotation
 
 
 def _topological(joints: list[Any]) -> list[Any]:
-    """Each joint after the joint its parent hangs on, else in the order of the file."""
+    """Return each joint after the joint its parent hangs on, else in the order of the file."""
     children = {joint.child for joint in joints}
     hanging: dict[str, list[int]] = {}
     for i, joint in enumerate(joints):
@@ -210,7 +211,8 @@ class _Visuals:
         )
 
     def mesh(self, link: Any) -> Mesh:
-        """All visuals of a link as one mesh in the link's frame, in the order of the file."""
+        """Return all visuals of a link as one mesh in the link's frame, in the order of the
+        file."""
         by = f"{self.path}: link {quoted(link.name)}"
         own = ((self._shape(element, by), element.tag, T) for element, T in self.shapes[link.name])
         return self._builder.link(by, ((mesh, tag, T) for mesh, tag, T in own if mesh))
@@ -224,7 +226,8 @@ class _Visuals:
         return tuple(f"{note}: {', '.join(names)}" for note, names in notes.items() if names)
 
     def _shape(self, element: Any, by: str) -> Mesh | None:
-        """The mesh of one shape, in the frame of its visual; None where it may be missing."""
+        """Return the mesh of one shape, in the frame of its visual; None where it may be
+        missing."""
 
         def numbers(attribute: str) -> list[float]:
             return [float(word) for word in element.get(attribute).split()]

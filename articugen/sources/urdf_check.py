@@ -26,7 +26,7 @@ _UNUSED = (
 
 
 def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
-    """The `<robot>` element (lxml) of a sound URDF, and its links with collision shapes only.
+    """Return `<robot>` element (lxml) of a sound URDF, and its links with collision shapes only.
 
     Elements that are not used are removed, numbers are rewritten plainly. Stray text between
     elements is harmless and accepted, and so are commas between numbers.
@@ -171,7 +171,8 @@ class _Check(Check):
 
 
 def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None:
-    """Every link but one, the root, is the child of one joint, and all hang on the root."""
+    """Check that every link but one, the root, is the child of one joint, and all hang on the
+    root."""
     known = set(links)
     parent_of: dict[str, str] = {}
     hangs_on: dict[str, str] = {}
@@ -204,7 +205,7 @@ def _check_tree(check: _Check, links: list[str], joints: dict[str, Any]) -> None
 
 
 def _check_mimics(check: _Check, joints: dict[str, Any]) -> None:
-    """Each mimic leads, over any number of others, to a joint that moves by itself."""
+    """Check that each mimic leads, over any number of others, to a joint that moves by itself."""
     leads_to: dict[str, str] = {}
     for name, joint in joints.items():
         mimic = joint.find("mimic")

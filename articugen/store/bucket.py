@@ -46,7 +46,7 @@ def is_url(path: object) -> bool:
 
 
 def scheme_of(url: str) -> str:
-    """What stands before ://, "" where nothing does."""
+    """Return the scheme of a URL, "" where it has none."""
     match = _LIKE_A_URL.fullmatch(url)
     return match[1] if match else ""
 
@@ -68,7 +68,7 @@ def check_can_be_shared(url: str) -> None:
 
 
 class Answer(Enum):
-    """What an error says of a request."""
+    """Meaning of an error for a request."""
 
     ABSENT = "there is no such file"
     REFUSED = "it may not be read, or written"
@@ -137,7 +137,8 @@ class Files(ABC):
         """Say what an error means."""
 
     def _tried(self, name: str, act: Callable[[], R]) -> R | None:
-        """What `act`, a request for a file, returns; None where there is no such file."""
+        """Call `act`, again where the store does not answer; return None where there is no such
+        file."""
         where = f"{self.url}/{name}".rstrip("/")
         for left in reversed(range(self.tries)):
             try:
@@ -218,7 +219,8 @@ class Bucket(Files):
             self._tried(name, lambda name=name: self._obstore.delete(self._store, name))
 
     def list(self, under: str = "") -> Mapping[str, Listed]:
-        """The files whose names begin with the folder `under`, "" for all, without that folder."""
+        """Return the files whose names begin with the folder `under`, "" for all, without that
+        folder."""
 
         def listing() -> dict[str, Listed]:
             found: dict[str, Listed] = {}

@@ -28,7 +28,8 @@ def encoded(row: bytes, *, compressed: bool) -> bytes:
 
 
 def most_bytes(row_bytes: int) -> int:
-    """That a chunk may take: what deflate makes of the least compressible row, and the checksum."""
+    """Return the most that a chunk may take: what deflate makes of the least compressible row, and
+    the checksum."""
     return row_bytes + (row_bytes >> 10) + 64
 
 
@@ -82,5 +83,5 @@ def _folded(total: int) -> int:
 
 
 def shape_of(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape of the chunks of a data set (N, ...): a row each."""
+    """Return the shape of the chunks of a data set (N, ...): a row each."""
     return (1, *(max(size, 1) for size in shape[1:]))

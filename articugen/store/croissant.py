@@ -75,7 +75,7 @@ class File(Protocol):
 
 
 def of_data_set(manifest: Manifest) -> bytes:
-    """What lies beside a manifest."""
+    """Return the file for a manifest."""
     about = (
         f"Articulated objects of the category {manifest.category}: "
         f"{sum(o.instances for o in manifest.objects)} instances, each an object at one joint "
@@ -85,7 +85,7 @@ def of_data_set(manifest: Manifest) -> bytes:
 
 
 def fault(text: bytes, manifest: Manifest) -> str | None:
-    """What is wrong with the text that lies beside a manifest, or None.
+    """Return what is wrong with the file beside a manifest, or None.
 
     Other code than this may have worded it otherwise; then what it says of the data counts.
     """

@@ -77,12 +77,12 @@ class DataSet(Sequence[Row]):
 
     @property
     def path(self) -> Any:
-        """What was opened: a `Path`, or a `Remote` in an object store."""
+        """Opened place: a `Path`, or a `Remote` in an object store."""
         return self._shelf.path
 
     @property
     def manifest(self) -> Manifest | None:
-        """What its makers say of the whole data set; None of a single shard."""
+        """Manifest of the whole data set; None of a single shard."""
         return self._shelf.manifest
 
     @cached_property
@@ -92,7 +92,7 @@ class DataSet(Sequence[Row]):
 
     @cached_property
     def category(self) -> str:
-        """What its objects are, "laptop" say, by its first instance.
+        """Category of its objects, "laptop" say, by its first instance.
 
         Raises:
             InvalidArgument: it holds no instance.
@@ -101,7 +101,7 @@ class DataSet(Sequence[Row]):
 
     @cached_property
     def recipe(self) -> Recipe:
-        """What it was made by.
+        """Recipe that it was made by.
 
         Raises:
             CorruptShard: by a recipe of another version.
@@ -124,7 +124,7 @@ class DataSet(Sequence[Row]):
 
     @cached_property
     def splits(self) -> Mapping[str, int]:
-        """How many instances of each split it holds."""
+        """Number of instances of each split."""
         names = list(dict.fromkeys(entry.split for entry in self._shelf.entries))
         of_shard = np.array([names.index(entry.split) for entry in self._shelf.entries], np.int32)
         split = of_shard[self._where[:, 0]]
@@ -372,7 +372,8 @@ _CLOUDS = ("surface", "uniform", "near", "partial")
 
 
 def _kind_of_points(name: str) -> tuple[str, int] | None:
-    """The letter that counts a field's points, and the axis of an instance that they are on."""
+    """Return the letter that counts a field's points, and the axis of an instance that they are
+    on."""
     field = schema.field_of(name)
     letters = enumerate(field.shape[1:] if field else ())
     return next(((str(s), axis) for axis, s in letters if s in _POINT_SYMBOLS), None)

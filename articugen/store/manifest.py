@@ -40,7 +40,8 @@ class _Version(BaseModel):
 
 
 class Timings(Record):
-    """Of the run that wrote the manifest; what it took over from an earlier run is not counted."""
+    """Timings of the run that wrote the manifest; what it took over from an earlier run is not
+    counted."""
 
     seconds: float = Field(ge=0.0)
     instances_per_second: float = Field(ge=0.0)
@@ -54,7 +55,7 @@ Unmade = Annotated[tuple[Rejection, ...], FailFast(fail_fast=True)]
 
 
 class _Entries(Record):
-    """What a page holds of a manifest's lists."""
+    """Page of a manifest's lists."""
 
     objects: Made
     shards: Shards
@@ -68,7 +69,7 @@ LISTS = tuple(_Entries.model_fields)
 
 
 class Manifest(Record):
-    """Everything one needs to trust a data set, and to make it again.
+    """Manifest of a data set: everything needed to trust it, and to make it again.
 
     Attributes:
         schema_version: of its shards.
@@ -143,12 +144,13 @@ class Manifest(Record):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """Of all objects that were tried."""
+        """Keys of all objects that were tried."""
         lists = (self.objects, self.rejected, self.skipped, self.failed)
         return tuple(entry.key for entries in lists for entry in entries)
 
     def digest(self) -> str:
-        """Of everything but `manifest_sha256`, as JSON with sorted keys and without spaces."""
+        """Digest of everything but `manifest_sha256`, as JSON with sorted keys and without
+        spaces."""
         rest = self.model_dump(mode="json", exclude={"manifest_sha256", *LISTS})
         digest = hashlib.sha256()
         for number, name in enumerate(sorted([*rest, *LISTS])):
@@ -166,7 +168,7 @@ class Manifest(Record):
 
     @staticmethod
     def sealed(**values: Any) -> "Manifest":
-        """A manifest of these values, and with their digest."""
+        """Return a manifest of these values, and with their digest."""
         draft = Manifest.model_construct(**values)
         return Manifest(**values, manifest_sha256=draft.digest())
 
@@ -174,8 +176,8 @@ class Manifest(Record):
     def of(
         outcomes: Iterable[Outcome], *, recipe: str, shortfall: str | None = None, **about: Any
     ) -> "Manifest":
-        """The manifest of a finished run: of these outcomes, made here and now by this code. Given
-        besides are `category`, `source`, `licence`, `seed` and `timings`."""
+        """Return the manifest of a finished run: of these outcomes, made here and now by this code.
+        Given besides are `category`, `source`, `licence`, `seed` and `timings`."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
@@ -198,7 +200,7 @@ class Manifest(Record):
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """What became of each object."""
+        """Outcome of each object."""
         shards = {shard.name: shard for shard in self.shards}
         return (
             *(Outcome(made=entry, shard=shards[entry.shard]) for entry in self.objects),
@@ -215,8 +217,8 @@ class Manifest(Record):
         Folder(folder).delete(stale_pages(folder / MANIFEST_NAME))
 
     def files(self) -> Iterator[tuple[str, bytes]]:
-        """The names and bytes of the files that it is written as, in their order: pages, if it has
-        any, then manifest.json."""
+        """Yield the names and bytes of the files that it is written as, in their order: pages, if
+        it has any, then manifest.json."""
         longest = max(len(getattr(self, name)) for name in LISTS)
         if longest <= PAGE_ENTRIES:
             yield MANIFEST_NAME, (self.model_dump_json(indent=1) + "\n").encode()
@@ -233,7 +235,8 @@ class Manifest(Record):
 
     @staticmethod
     def read(folder: Path, name: str = MANIFEST_NAME) -> "Manifest":
-        """The manifest of a data set; `name` is that of its file, whose pages lie in the folder.
+        """Read the manifest of a data set; `name` is that of its file, whose pages lie in the
+        folder.
 
         Raises:
             CorruptShard: there is none, it is of another version, or not as it was written.
@@ -334,7 +337,7 @@ def _compact(value: Any) -> bytes:
 
 
 def content_of(objects: Iterable[ObjectEntry]) -> str:
-    """The digest of a whole data set: over the sorted (split, object_id, content_sha256)."""
+    """Return the digest of a whole data set: over the sorted (split, object_id, content_sha256)."""
     return content_sha256((o.key.split, o.key.object_id, o.content_sha256) for o in objects)
 
 

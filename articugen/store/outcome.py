@@ -42,7 +42,7 @@ def is_shard_name(name: str) -> bool:
 
 
 class Key(_Entry):
-    """What decides one object's data; the same key means the same bytes.
+    """Key of one object's data; the same key means the same bytes.
 
     Attributes:
         split, object_id: which object.
@@ -65,7 +65,7 @@ class Key(_Entry):
         return self.split, self.object_id
 
     def difference(self, made: "Key") -> str | None:
-        """Why data made for the key `made` will not do for this one; None where it does."""
+        """Return why data made for the key `made` will not do for this one; None where it does."""
         if made.ref != self.ref:
             return "its source has changed"
         if made.recipe_sha256 != self.recipe_sha256:
@@ -134,12 +134,12 @@ class Rejection(Record):
 
     @staticmethod
     def of_fault(key: Key, error: Exception) -> "Rejection":
-        """For a fault of our code, which says nothing about the object."""
+        """Return the rejection for a fault of our code, which says nothing about the object."""
         return Rejection(key=key, reason=printable(f"{_OUR_FAULT}{type(error).__name__}: {error}"))
 
 
 class Outcome(Record):
-    """What became of one object.
+    """Outcome of one object.
 
     Attributes:
         made, shard: it is in the data.
@@ -174,7 +174,8 @@ class Outcome(Record):
         notes: tuple[str, ...] = (),
         seconds: float = 0.0,
     ) -> "Outcome":
-        """The outcome of an object whose instances, and only those, are in the shard `record`."""
+        """Return the outcome of an object whose instances, and only those, are in the shard
+        `record`."""
         made = ObjectEntry(
             key=key,
             input_sha256=input_sha256,
@@ -200,7 +201,8 @@ class Outcome(Record):
 
     @property
     def fault(self) -> Rejection | None:
-        """Why the object says nothing about itself and is tried again, whatever its key."""
+        """Rejection where the object says nothing about itself and is tried again, whatever its
+        key."""
         if self.rejected and self.rejected.reason.startswith(_OUR_FAULT):
             return self.rejected  # so earlier versions wrote it
         return self.failed

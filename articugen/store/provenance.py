@@ -12,14 +12,14 @@ from articugen.core.content import VERSION
 
 
 def library_versions() -> dict[str, str]:
-    """Of Python and of the libraries that decide a data set's numbers or bytes."""
+    """Return versions of Python and of the libraries that decide a data set's numbers or bytes."""
     names = ("numpy", "numba", "h5py", "trimesh", "yourdfpy")
     return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
 
 
 @cache
 def code_version() -> str:
-    """The package's version and a digest of all its code."""
+    """Return the package's version and a digest of all its code."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
@@ -28,7 +28,7 @@ def code_version() -> str:
 
 
 def this_machine() -> dict[str, str | int]:
-    """What we run on: system, architecture, processor, number of cores."""
+    """Return facts of this machine: system, architecture, processor, number of cores."""
     processor = platform.processor() or platform.machine()
     information = Path("/proc/cpuinfo")
     if information.is_file():
@@ -44,7 +44,8 @@ def this_machine() -> dict[str, str | int]:
 
 
 def this_commit() -> str | None:
-    """The git commit of the checkout that this package is tracked in; None for an installed one."""
+    """Return the git commit of the checkout that this package is tracked in; None for an installed
+    one."""
     package = Path(__file__).resolve().parents[1]
 
     def git(*arguments: str) -> str:

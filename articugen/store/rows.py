@@ -33,9 +33,9 @@ def is_scaled(name: str) -> bool:
 
 
 def in_units(name: str, stored: NDArray[Any], out: Float32 | None = None) -> Float32:
-    """What is stored of a field with `is_scaled`, as float32: coordinates in the unit frame and
-    shares of a cell, exact to 6e-8; normals, which rounding made too short or too long by up to
-    0.7 %, of unit length, or zeros."""
+    """Return a stored field with `is_scaled` as float32: coordinates in the unit frame and shares
+    of a cell, exact to 6e-8; normals, which rounding made too short or too long by up to 0.7 %, of
+    unit length, or zeros."""
     field = schema.field_of(name)
     assert field is not None
     step, first = _UNITS[field.unit]
@@ -292,9 +292,9 @@ class Row:
 
     @cached_property
     def partial(self) -> RowPartial:
-        """What C depth cameras see: `points` (C, M, 3) float32, unit frame, the `part` (C, M) of
-        each; `T_camera_world` (C, 4, 4) from the unit frame to the camera's, `intrinsics` (C, 4)
-        in pixels: fx, fy, cx, cy."""
+        """Points that C depth cameras see: `points` (C, M, 3) float32, unit frame, the `part` (C,
+        M) of each; `T_camera_world` (C, 4, 4) from the unit frame to the camera's, `intrinsics` (C,
+        4) in pixels: fx, fy, cx, cy."""
         return RowPartial(self, "partial")
 
     @cached_property
@@ -304,7 +304,7 @@ class Row:
 
     @cached_property
     def images(self) -> RowImages:
-        """What V cameras see, where the recipe asks for images.views: `depth` (V, H, H) float32, 0
+        """Images of V cameras, where the recipe asks for images.views: `depth` (V, H, H) float32, 0
         where nothing is; `part` (V, H, H), k + 1 for part k; `normal` (V, H, H, 3) float32; `rgba`
         (V, H, H, 4) uint8; `T_camera_world` (V, 4, 4) from the unit frame; `intrinsics` (V, 4): fx,
         fy, cx, cy."""
@@ -312,7 +312,7 @@ class Row:
 
     @property
     def collision_depth(self) -> float:
-        """How deep parts are in one another, unit frame, where the recipe asks for it."""
+        """Depth of parts in one another, unit frame, where the recipe asks for it."""
         return float(self.stored("collision_depth"))
 
     @cached_property

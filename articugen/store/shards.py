@@ -40,7 +40,7 @@ class ShardRecord:
 
 
 def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) -> str:
-    """The digest of an instance's content, whatever the layout of the file that holds it.
+    """Return the digest of an instance's content, whatever the layout of the file that holds it.
 
     First a line "object_id <id>". For every other field, in the order of the names: one line "name
     dtype shape" with the little-endian dtype, then the bytes in C order. Of text the dtype is
@@ -61,7 +61,8 @@ def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) 
 
 
 def content_sha256(content: Iterable[tuple[Any, ...]]) -> str:
-    """One digest of many: over their sorted lines, so that order and grouping do not matter."""
+    """Return one digest of many: over their sorted lines, so that order and grouping do not
+    matter."""
     lines = sorted("\x1f".join(map(str, entry)) for entry in content)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -149,7 +150,7 @@ class Shard:
         self._handle = None
 
     def read(self, name: str, index: int | slice = slice(None)) -> NDArray[Any]:
-        """The rows of a data set: (...) for a number, (n, ...) for a slice.
+        """Return the rows of a data set: (...) for a number, (n, ...) for a slice.
 
         Raises:
             CorruptShard: the bytes fail their checksum.
@@ -168,7 +169,7 @@ class Shard:
         return {name: self._rows(name, chosen) for name in names}
 
     def instance(self, index: int) -> Instance:
-        """The record that was written as row `index`.
+        """Return the record that was written as row `index`.
 
         Raises:
             CorruptShard: the bytes fail their checksum.
@@ -187,7 +188,7 @@ class Shard:
             return {name: column.row(part) for (name, column), part in pieces}
 
     def instance_of(self, stored: Mapping[str, NDArray[Any]]) -> Instance:
-        """The record that was written as a row, which `stored_row` gives."""
+        """Return the record that was written as a row, which `stored_row` gives."""
         row: dict[str, Any] = dict(stored)
         for field in schema.FIELDS:
             if field.is_grid:
@@ -200,11 +201,11 @@ class Shard:
         return Instance(**row)
 
     def object_ids(self) -> tuple[str, ...]:
-        """The object of each instance."""
+        """Return the object of each instance."""
         return self._texts(self.read("object_id"))
 
     def content(self) -> Content:
-        """The digest of each instance, computed from what is stored."""
+        """Return the digest of each instance, computed from what is stored."""
         content: list[tuple[str, int, str]] = []
         for index, object_id in enumerate(self.object_ids()):
             row = self.stored_row(index)
@@ -213,7 +214,7 @@ class Shard:
         return tuple(content)
 
     def stored_bytes(self, name: str) -> int:
-        """What a data set takes in the file, after compression, without its index."""
+        """Return the bytes of a data set in the file, after compression, without its index."""
         return int(self.columns[name].size.sum())
 
     def _rows(self, name: str, rows: Sequence[int]) -> NDArray[Any]:

@@ -56,7 +56,7 @@ class _Entry:
 
 
 def _entries(folder: Path | Remote, manifest: Manifest) -> Iterator[_Entry]:
-    """As the manifest tells; a shard of one object need not be opened for it."""
+    """Yield entries by the manifest; a shard of one object need not be opened for it."""
     inside: dict[str, list[Any]] = {}
     for entry in manifest.objects:
         inside.setdefault(entry.shard, []).append(entry.key)
@@ -100,7 +100,7 @@ def _shards_in(folder: Path) -> list[Path]:
 
 
 def _kind(name: str) -> str:
-    """What a field is of: surface, joint, ...; "" for what there is one of in an instance."""
+    """Return the kind of a field: surface, joint, ...; "" for one of an instance."""
     field = schema.field_of(name)
     return name.partition("_")[0] if field and len(field.shape) > 1 and field.shape[1] != 3 else ""
 

@@ -217,7 +217,7 @@ def _stored_texts(texts: str | tuple[str, ...]) -> NDArray[Any]:
 
 
 def _new_dataset(file: h5py.File, name: str, row: NDArray[Any]) -> h5py.h5d.DatasetID:
-    """A data set without rows yet, with what the schema says of it as attributes."""
+    """Return a data set without rows yet, with what the schema says of it as attributes."""
     field = _field(name)
     dataset = file.create_dataset(
         name,

@@ -81,7 +81,8 @@ class Bound:
     per: int = 1
 
     def refuses(self, agree: int, judged: int) -> bool:
-        """Whether a true share of `least` would hardly show as `agree` of `judged` places or less.
+        """Return whether a true share of `least` would hardly show as `agree` of `judged` places or
+        less.
 
         By Chernoff's bound of the binomial distribution: of n draws, each of probability p, a share
         of q or less agrees with a chance of exp(-n D) at most, D the divergence of q from p.

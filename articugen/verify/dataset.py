@@ -43,8 +43,8 @@ wrong."""
 
 @dataclass(frozen=True)
 class Repair:
-    """What was wrong with one file of a data set, in a sentence; what was done about it, or why
-    nothing was; and whether it is whole again."""
+    """Fault of one file of a data set, in a sentence; what was done about it, or why nothing was;
+    and whether it is whole again."""
 
     name: str
     wrong: str
@@ -57,7 +57,7 @@ class Repair:
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What `verify` found, and how much it looked at.
+    """Findings of `verify`, and how much it checked.
 
     Attributes:
         extended: names of the shards that are as they were made but for a group `user` that
@@ -77,7 +77,7 @@ class Report:
 
     @property
     def mendable(self) -> bool:
-        """Whether a repair may do anything about it."""
+        """True where a repair may do anything about it."""
         checks = (*MENDED, "manifest", "croissant")
         return any(finding.check in checks for finding in self.findings)
 
@@ -120,8 +120,8 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
 
 
 def text_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
-    """What a flipped bit leaves that means the same, or means nothing to us: the last digit of a
-    fraction, and what is there for machines that look for data sets."""
+    """Yield flipped bits that change no meaning, or none for us: the last digit of a fraction, and
+    files for machines that look for data sets."""
     miswritten: list[str] = []
 
     def note(fraction: str) -> float:
@@ -145,7 +145,7 @@ def text_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
-    """Where the manifest does not agree with itself, though its digest does."""
+    """Yield where the manifest does not agree with itself, though its digest does."""
     recipe, keys = _recipe_of(manifest.recipe), manifest.keys
     if recipe is None:
         yield Finding("manifest", "recipe is not a recipe of this version")
@@ -204,7 +204,7 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 
 
 def _leftovers(folder: Path) -> Iterator[Finding]:
-    """What a run that was cut short has left."""
+    """Yield leftovers of a run that was cut short."""
     for name in sorted(os.listdir(folder)) if folder.is_dir() else []:
         if is_unfinished(name):
             yield Finding(
@@ -227,7 +227,7 @@ def _recipe_of(text: str) -> Recipe | None:
 
 
 def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
-    """What the manifest says of every shard's attributes."""
+    """Return the attributes of every shard by the manifest."""
     recipe = _recipe_of(manifest.recipe)
     expected: dict[str, str | int] = {
         "category": manifest.category,
@@ -241,7 +241,8 @@ def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
 def _shard_findings(
     folder: Path, about: dict[str, str | int], recorded: tuple[ShardEntry, list[ObjectEntry]]
 ) -> tuple[list[Finding], bool]:
-    """What is wrong with one shard, and whether all that is not as recorded is a group `user`.
+    """Yield what is wrong with one shard, and whether all that is not as recorded is a group
+    `user`.
 
     A file that is not the one recorded is looked into as well. With such a group it may be another:
     then its attributes and the digests of its content say whether the rest is what it was.
@@ -289,7 +290,8 @@ def _attribute_findings(
 def _row_findings(
     shard: Shard, entry: ShardEntry, objects: list[ObjectEntry]
 ) -> tuple[list[Finding], list[Finding]]:
-    """What is wrong with the content, and with the geometry; each row is read once for both."""
+    """Yield what is wrong with the content, and with the geometry; each row is read once for
+    both."""
     name, recipe = shard.path.name, Recipe.of_text(str(shard.attributes["recipe"]))
     content: list[Finding] = []
     geometry: list[Finding] = []
@@ -319,7 +321,7 @@ def _row_findings(
 def _geometry_findings(
     shard: Shard, object_id: str, stored: list[dict[str, NDArray[Any]]], recipe: Recipe
 ) -> Iterator[Finding]:
-    """What is wrong with one object, given its rows as they are stored."""
+    """Yield what is wrong with one object, given its rows as they are stored."""
     name = shard.path.name
     try:
         rows = [shard.instance_of(row) for row in stored]

@@ -48,7 +48,7 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
 
 
 def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
-    """Every field that the recipe asks for is there, in its numbers, and no other."""
+    """Check that every field that the recipe asks for is there, in its numbers, and no other."""
     have = {name: np.shape(value) for name, value in row.arrays().items()}
     fields, shapes = recipe.fields(), recipe.instance_shapes()
     for name in sorted(have.keys() - shapes.keys()):
@@ -131,7 +131,7 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
 
 
 def _moved(part_motion: Floats) -> bool:
-    """Whether any of the (..., 4, 4) motions is one."""
+    """Return whether any of the (..., 4, 4) motions is one."""
     return bool(TOLERANCES["unit"].exceeded_by(np.abs(part_motion - np.eye(4)).max()))
 
 
@@ -207,7 +207,8 @@ def _fills_box(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int |
 
 
 def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | None, str]]:
-    """Where part 0 has material in one pose it has in all, or a moving part's lies in it."""
+    """Check that where part 0 has material in one pose it has in all, or a moving part's lies in
+    it."""
     for resolution, first in rows[0].occupancy.items():
         held = first == 1
         for row in rows[1:]:

@@ -62,7 +62,7 @@ def images(row: Instance, recipe: Recipe) -> Iterator[str]:
 
 
 def _seen_by(row: Instance, view: int) -> Floats:
-    """(n, 3) the points that an image's depths show, unit frame."""
+    """Return (n, 3) the points that an image's depths show, unit frame."""
     assert row.image_depth is not None
     assert row.image_intrinsics is not None
     assert row.image_T_camera_world is not None

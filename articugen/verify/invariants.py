@@ -43,7 +43,7 @@ class Finding:
 
 
 def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Finding]:
-    """Everything wrong with `rows`, all instances of one object made by `recipe`."""
+    """Yield everything wrong with `rows`, all instances of one object made by `recipe`."""
     sensible = []
     for row in rows:
         wrong = list(_of(row, recipe, VALUE_CHECKS))
@@ -58,7 +58,7 @@ def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Finding]:
 
 
 def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str, Share]]:
-    """(state_index, check, share) of everything sampled in all instances of one object."""
+    """Yield (state_index, check, share) of everything sampled in all instances of one object."""
     canonical = next((Samples(row) for row in rows if row.state_index == 0), None)
     for row in rows:
         seen = Samples(row)
@@ -69,8 +69,8 @@ def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str,
 
 
 def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Finding]:
-    """The instances whose shares are refused, and the object where only all of them together
-    tell."""
+    """Yield the instances whose shares are refused, and the object where only all of them together
+    show it."""
     alike: dict[tuple[str, str], list[tuple[int, Share]]] = {}
     for state, check, share in found:
         alike.setdefault((check, share.sentence), []).append((state, share))

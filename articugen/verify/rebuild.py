@@ -165,8 +165,8 @@ def _made_in(told: dict[str, Any], about: Mapping[str, Attribute]) -> Iterator[O
 
 
 def _said(folder: Path) -> dict[str, Any]:
-    """What can be read of a manifest and of its pages; of all that lie there, where it does not
-    tell which are its own."""
+    """Return what can be read of a manifest and of its pages; of all pages there, where it does not
+    name its own."""
     head = _json(folder / MANIFEST_NAME)
     there = sorted(filter(is_page_name, os.listdir(folder)))
     listed = head.get("pages")
@@ -190,7 +190,7 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _entries(told: dict[str, Any], name: str, kind: type[R]) -> list[R]:
-    """Those of a list that can be read."""
+    """Return the entries of a list that can be read."""
     found: list[R] = []
     for entry in told[name]:
         try:
@@ -216,8 +216,8 @@ def _recipe(told: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
 
 
 def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
-    """Whether what a damaged manifest says of an object may be believed. Where its shard is damaged
-    too that one is made again, which will tell."""
+    """Return whether a damaged manifest may be believed of an object. Where its shard is damaged
+    too that one is made again, which will show."""
     made, key = outcome.made, outcome.key
     assert made
     if witness is None:

@@ -44,8 +44,8 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
 
 
 def made_elsewhere(manifest: Manifest) -> str:
-    """What may explain that a data set's numbers come out otherwise: other libraries than it was
-    made with, or another kind of processor; "" where there are none."""
+    """Return why a data set's numbers may come out otherwise: other libraries than it was made
+    with, or another kind of processor; "" where there are none."""
     there = {**manifest.versions, "processors": manifest.machine.get("architecture")}
     here = {**library_versions(), "processors": this_machine()["architecture"]}
     other = [name for name in here if there.get(name) != here[name]]
@@ -54,7 +54,7 @@ def made_elsewhere(manifest: Manifest) -> str:
 
 
 def differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str]]:
-    """(check, sentence) of what is otherwise in a stored instance than in one made again."""
+    """Yield (check, sentence) of what is otherwise in a stored instance than in one made again."""
     again = make_instance(prepared, stored.state_index).arrays()
     other = [n for n, array in stored.arrays().items() if not np.array_equal(array, again[n])]
     if other:
@@ -63,8 +63,8 @@ def differences(prepared: Prepared, stored: Instance) -> Iterator[tuple[str, str
 
 
 def beside_level(prepared: Prepared, stored: Instance) -> Iterator[str]:
-    """What is wrong if more of an instance's surface points than its recipe's views explain, and
-    than chance does, lie off the zero level of its field."""
+    """Yield what is wrong if more of an instance's surface points than its recipe's views explain,
+    and than chance does, lie off the zero level of its field."""
     _, fields = pose(prepared, stored.state_index)
     points = dequantize(stored.surface_points)
     normals = stored.surface_normals / 127.0

@@ -50,7 +50,7 @@ def _share(bound: str, sentence: str, agree: NDArray[np.bool_]) -> Share:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What is sampled of an instance, in the unit frame, made ready once for all checks."""
+    """Samples of an instance, in the unit frame, made ready once for all checks."""
 
     row: Instance
 
@@ -66,13 +66,13 @@ class Samples:
 
     @cached_property
     def queries(self) -> tuple[Floats, NDArray[np.uint8]]:
-        """All query points (n, 3) and their labels (n,)."""
+        """Query points (n, 3) and their labels (n,)."""
         points = np.concatenate([self.row.uniform_points, self.row.near_points])
         return dequantize(points), np.concatenate([self.row.uniform_label, self.row.near_label])
 
 
 def _grids_agree(seen: Samples, _: Recipe) -> Iterator[Share]:
-    """A query point far from the surface is in a cell whose centre is on its side of it.
+    """Check that a query point far from the surface is in a cell whose centre is on its side of it.
 
     Nothing else is sure: a gap or a panel may lie between all centres of a grid, and enclosed space
     may end without a surface.
@@ -126,7 +126,8 @@ def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
 
 
 def _covered(seen: Samples, _: Recipe) -> Iterator[Share]:
-    """The centre of a cell that is all inside is inside, and of one that is all free it is free.
+    """Check that the centre of a cell that is all inside is inside, and of one that is all free,
+    free.
 
     But for films finer than the sub-samples that pass just through the centre.
     """
@@ -229,7 +230,7 @@ def _spacing(count: int) -> float:
 
 
 def _cells(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:
-    """(n,) the label of the cell of the grid (R, R, R) that each point (n, 3) lies in."""
+    """Return (n,) the label of the cell of the grid (R, R, R) that each point (n, 3) lies in."""
     size = len(grid)
     x, y, z = np.clip(((points + 0.5) * size).astype(int), 0, size - 1).T
     return grid[x, y, z]
@@ -254,7 +255,7 @@ def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
 
 @kernel
 def _about(grid, points):  # pragma: no cover - compiled
-    """(n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
+    """Return (n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
     size = len(grid)
     labels = np.empty((len(points), 8), np.uint8)
     for n in range(len(points)):

@@ -162,7 +162,7 @@ class Checks:
 
     @property
     def ok(self) -> bool:
-        """Whether all can be read and nothing is amiss."""
+        """True where all can be read and nothing is amiss."""
         return all(model.verdict == "sound" for model in self.models)
 
     def counts(self) -> Counter[str]:

@@ -37,7 +37,8 @@ def join(*inside: object) -> Markup:
 
 
 def text(value: object) -> Markup:
-    """A text as HTML: nothing in it is a tag, a quote or a sign that turns what follows around."""
+    """Return a text as HTML: nothing in it is a tag, a quote or a sign that turns what follows
+    around."""
     if isinstance(value, Markup):
         return value
     return Markup(escape(printable(str(value)), quote=True))

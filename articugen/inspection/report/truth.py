@@ -58,18 +58,19 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured, or in one sentence why nothing was."""
+    """Measures, or in one sentence why there are none."""
 
     instances: tuple[Agreement, ...]
     why_not: str = ""
 
     def total(self, name: str) -> float:
-        """The share of "uniform", "near", "part" or "surface", over all instances together."""
+        """Return the share of "uniform", "near", "part" or "surface", over all instances
+        together."""
         one, other = np.sum([getattr(each, name) for each in self.instances], axis=0)
         return float(one / max(other, 1))
 
     def worst(self, name: str) -> float:
-        """The least share of any instance."""
+        """Return the least share of any instance."""
         pairs = (getattr(each, name) for each in self.instances)
         return min(one / max(other, 1) for one, other in pairs)
 
@@ -133,13 +134,13 @@ class _Scene:
         self.T_world_link = {name: product(motion[part], T) for name, (part, T) in links.items()}
 
     def holds(self, points: Floats) -> Bools:
-        """(n, P) whether each part's solids hold each point of the unit frame."""
+        """Return (n, P) whether each part's solids hold each point of the unit frame."""
         world = np.ascontiguousarray(self.unit.to_world(points))
         by_part = [truth.holds(world, self.T_world_link).any(axis=1) for truth in self.alone]
         return np.stack(by_part, axis=1)
 
     def sealed(self, points: Floats) -> Bools:
-        """(n,) whether one part alone hides the point from all sides."""
+        """Return (n,) whether one part alone hides the point from all sides."""
         found = np.zeros(len(points), np.bool_)
         world, ways = self.unit.to_world(points), fibonacci_sphere(SIGHTS)
         for truth in self.alone:

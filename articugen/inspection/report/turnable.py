@@ -84,7 +84,7 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
 
 
 def _moved(instance: Instance) -> float:
-    """How far its joints are from the canonical pose, each by its range."""
+    """Return how far its joints are from the canonical pose, each by its range."""
     span = instance.joint_upper - instance.joint_lower
     return float(np.sum(np.abs(instance.joint_state) / np.where(span > 0.0, span, 1.0)))
 
@@ -102,8 +102,8 @@ def _skin_of(clouds: Sequence[OrientedPoints], part: int) -> Skin:
 
 
 def packed(parts: Sequence[Skin]) -> str:
-    """The meshes in base64: of each the coordinates x, y, z of its vertices as 16-bit fixed point
-    over [-1, 1], then the numbers of its faces' corners in 32 bits."""
+    """Return the meshes in base64: of each the coordinates x, y, z of its vertices as 16-bit fixed
+    point over [-1, 1], then the numbers of its faces' corners in 32 bits."""
     pieces: list[bytes] = []
     for part in parts:
         fixed = np.round((np.clip(part.vertices, -1.0, 1.0) + 1.0) * 32767.5).astype(np.uint16)
@@ -113,7 +113,7 @@ def packed(parts: Sequence[Skin]) -> str:
 
 
 def _differences(numbers: NDArray[Any]) -> bytes:
-    """Each less the one before it, all lowest bytes first, then all next ones."""
+    """Return each number less the one before it, all lowest bytes first, then all next ones."""
     steps = np.diff(numbers, prepend=numbers.dtype.type(0))
     little = steps.astype(numbers.dtype.newbyteorder("<"))
     return little.view(np.uint8).reshape(-1, numbers.itemsize).T.tobytes()

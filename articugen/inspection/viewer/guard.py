@@ -82,7 +82,8 @@ def refusal(host: str, address: str, headers: Any) -> str:
 
 
 def _leads_here(asked: str, host: str, address: str) -> bool:
-    """Whether a Host header names this server. Its port may be another's, that of a tunnel."""
+    """Return whether a Host header names this server. Its port may be another's, that of a
+    tunnel."""
     try:
         name = urlsplit(f"//{asked}").hostname or ""
     except ValueError:

@@ -68,7 +68,7 @@ LABEL_COLOURS = LABEL_COLOURS.astype(np.uint8)
 
 
 def surface(instance: Instance) -> list[Drawn]:
-    """The surface points in the colours of their parts, paler where they face the light."""
+    """Return the surface points in the colours of their parts, paler where they face the light."""
     normals = instance.surface_normals / 127.0
     light = 1.0 - _SHADE * (0.5 - 0.5 * normals @ _LIGHT)
     colours = (PALETTE[instance.surface_part] * light[:, None]).astype(np.uint8)
@@ -86,14 +86,15 @@ def normals(instance: Instance) -> list[Drawn]:
 
 
 def voxels(instance: Instance, resolution: int) -> list[Drawn]:
-    """The occupied voxels of a stored grid, a point each as wide as they are."""
+    """Return the occupied voxels of a stored grid, a point each as wide as they are."""
     grid = instance.occupancy[resolution]
     at = np.argwhere(grid != FREE)
     return [Points((at + 0.5) / resolution - 0.5, LABEL_COLOURS[grid[tuple(at.T)]], 1 / resolution)]
 
 
 def queries(instance: Instance, *, inside: bool) -> list[Drawn]:
-    """The uniform and near query points that are inside, in their labels' colours, or outside."""
+    """Return the uniform and near query points that are inside, in their labels' colours, or
+    outside."""
     points = np.concatenate([instance.uniform_points, instance.near_points])
     label = np.concatenate([instance.uniform_label, instance.near_label])
     chosen = (label != FREE) == inside
@@ -101,7 +102,7 @@ def queries(instance: Instance, *, inside: bool) -> list[Drawn]:
 
 
 def partial(instance: Instance, image_size: int) -> list[Drawn]:
-    """What the depth cameras see, by part, with the frusta of the cameras.
+    """Return the points that the depth cameras see, by part, with the frusta of the cameras.
 
     Args:
         image_size: pixels along the edge of their pictures.
@@ -116,7 +117,7 @@ def partial(instance: Instance, image_size: int) -> list[Drawn]:
 
 
 def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
-    """(8, 2, 3) the edges of a camera's frustum, as far as the picture that is drawn."""
+    """Return (8, 2, 3) the edges of a camera's frustum, as far as the picture that is drawn."""
     fx, fy, cx, cy = intrinsics
     u, v = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float64).T
     in_camera = FRUSTUM * np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(4)], axis=1)
@@ -127,7 +128,7 @@ def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
 
 
 def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
-    """A surface for each part, canonical in `parts`, moved by its own `T_part` (P, 4, 4)."""
+    """Return a surface for each part, canonical in `parts`, moved by its own `T_part` (P, 4, 4)."""
     return [
         Solid(mesh.vertices, mesh.faces, _bytes(PALETTE[k]), T=T)
         for k, (mesh, T) in enumerate(zip(parts, T_part, strict=True))
@@ -136,8 +137,8 @@ def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
 
 
 def joints(instance: Instance) -> list[Drawn]:
-    """Each joint's axis as an arrow, and its pivot, in the colour of the part that it moves. Of a
-    hinge the whole line is drawn, of a slide the half that it opens along."""
+    """Return each joint's axis as an arrow, and its pivot, in the colour of the part that it moves.
+    Of a hinge the whole line is drawn, of a slide the half that it opens along."""
     pivots, directions = instance.joint_pivot, instance.joint_axis
     revolute = instance.joint_kind == JointKind.REVOLUTE
     tail = pivots - AXIS_REACH * directions * revolute[:, None]

@@ -34,7 +34,7 @@ LOOKED_AT = 5  # states of the first object that decide from where one looks
 
 
 class Session:
-    """What a server shows.
+    """State of a server and of what it shows.
 
     Attributes:
         wish: what was asked for last.

@@ -49,7 +49,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What is shown for some joint values.
+    """Object at some joint values.
 
     Attributes:
         q: (J,) the values that it has, rad or m.
@@ -100,12 +100,12 @@ class Shown:
         self._read = read
 
     def at_state(self, state: int) -> Seen:
-        """One of its states, as it is stored or as `generate` would store it."""
+        """Return one of its states, as it is stored or as `generate` would store it."""
         return Seen(self._read(state), self.states[state], state)
 
     def at(self, q: Floats) -> Seen:
-        """The object at joint values (J,), rad or m. Joints that follow another are put where that
-        puts them.
+        """Return the object at joint values (J,), rad or m. Joints that follow another are put
+        where that puts them.
 
         Raises:
             ArticugenError: nothing can be made there; the sentence says why.
@@ -128,7 +128,7 @@ class Shown:
         return Seen(self._read(near), self.states[near], near, asked=False, why=why)
 
     def nearest(self, q: Floats) -> int:
-        """The state that differs least from `q`, each joint by its range."""
+        """Return the state that differs least from `q`, each joint by its range."""
         span = np.array([joint.upper - joint.lower for joint in self.joints])
         return int((np.abs(self.states - q) / np.where(span > 0.0, span, 1.0)).sum(axis=1).argmin())
 
@@ -140,8 +140,9 @@ class Shown:
 
     @cached_property
     def part_meshes(self) -> tuple[Mesh, ...]:
-        """Of each part in the canonical pose, unit frame: its own solid's surface; from the finest
-        stored grid where the source is not at hand; empty where that holds nothing of it.
+        """Return a mesh of each part in the canonical pose, unit frame: its own solid's surface;
+        from the finest stored grid where the source is not at hand; empty where that holds nothing
+        of it.
 
         Raises:
             RejectedInstance: a part is too small to have any.
@@ -168,7 +169,8 @@ class Shown:
 
 
 def _simpler(mesh: Mesh) -> Mesh:
-    """The same surface without a triangle a voxel, which a browser draws fifty times as fast."""
+    """Return the same surface without a triangle a voxel, which a browser draws fifty times as
+    fast."""
     try:
         from articugen.meshes.simpler import simpler  # noqa: PLC0415 - an optional library
     except ModuleNotFoundError:

@@ -145,7 +145,8 @@ class ModelObjects:
 def source_of(
     path: str, *, category: str | None = None, recipe: str | None = None, seed: int = 0
 ) -> Source:
-    """What to show of a shard, a data set's folder, a model, a folder of them or a source's name.
+    """Return the source to show: a shard, a data set's folder, a model, a folder of them or a
+    source's name.
 
     Args:
         category, recipe, seed: of models: what they are, and how instances are made.

@@ -129,7 +129,8 @@ class Stage:
 
 
 def eye_of(points: Floats, toward_eye: Floats, aspect: float, free: float) -> Floats:
-    """(3,) the nearest place from which a window sees all of the points (n, 3), in its middle.
+    """Return (3,) the nearest place from which a window sees all of the points (n, 3), in its
+    middle.
 
     Args:
         toward_eye: (3,) where it is, as seen from them.
@@ -146,8 +147,8 @@ def eye_of(points: Floats, toward_eye: Floats, aspect: float, free: float) -> Fl
 
 
 def _deepest(u: Floats, z: Floats, before: float, after: float) -> float:
-    """The greatest depth d of an eye that sees all of the points at `u` and depth `z`: with some c,
-    -before * (z - d) <= u - c <= after * (z - d)."""
+    """Return the greatest depth d of an eye that sees all of the points at `u` and depth `z`: with
+    some c, -before * (z - d) <= u - c <= after * (z - d)."""
     return ((u + before * z).min() - (u - after * z).max()) / (before + after)
 
 

@@ -18,14 +18,14 @@ LONGEST_NAME = 32
 
 
 def shortened(name: str) -> str:
-    """A name on one line, its middle left out where it is long."""
+    """Return a name on one line, its middle left out where it is long."""
     name = printable(name)
     half = LONGEST_NAME // 2
     return name if len(name) <= LONGEST_NAME else f"{name[: half - 1]}…{name[-half:]}"
 
 
 def names_of(objects: Sequence[str]) -> dict[str, str]:
-    """The objects by a text to choose each by; no two are alike."""
+    """Return the objects by a text to choose each by; no two are alike."""
     names: dict[str, str] = {}
     for object_id in objects:
         name, count = shortened(object_id) or "(no name)", 1
@@ -54,13 +54,13 @@ class Scale:
         return Scale(low / 10**digits, max(high, low + 1) / 10**digits, 1 / 10**digits)
 
     def shown(self, joint: Joint, value: float) -> float:
-        """The step nearest to a joint value, rad or m."""
+        """Return the step nearest to a joint value, rad or m."""
         steps = round(value / joint.per_unit / self.step)
         return min(max(round(steps * self.step, 6), self.lower), self.upper)
 
     @staticmethod
     def meant(joint: Joint, shown: float) -> float:
-        """The joint value, rad or m and in its range, that a step stands for."""
+        """Return the joint value, rad or m and in its range, that a step stands for."""
         return min(max(shown * joint.per_unit, joint.lower), joint.upper)
 
 
@@ -82,7 +82,7 @@ def grid_of(resolution: int) -> str:
 
 
 def edge_of(grid: str) -> int:
-    """The inverse of `grid_of`; 0 of anything else."""
+    """Invert `grid_of`; return 0 of anything else."""
     edge = grid.removesuffix("³")
     return int(edge) if edge.isdecimal() else 0
 
@@ -92,7 +92,7 @@ def heading(title: str, count: int) -> Markup:
 
 
 def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
-    """Where what is shown comes from."""
+    """Return a line on where the object comes from."""
     state = seen.instance.state_index
     if not seen.asked:
         text = f"state {state}, the nearest {'that is stored' if shown.split else 'that there is'}"
@@ -117,7 +117,7 @@ def busy(what: str) -> Markup:
 
 
 def legend(instance: Instance) -> Markup:
-    """The parts, each with its colour."""
+    """Return the parts, each with its colour."""
     lines = []
     for k in range(len(instance.part_motion)):
         own = (names[k] for names in (instance.part_name, instance.part_semantic) if names)

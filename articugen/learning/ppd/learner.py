@@ -289,7 +289,8 @@ def motion_misfit(
 
 
 def _between(some: Tensor, others: Tensor) -> Tensor:
-    """Return mean square of the distance from points (B, n, 3) to the nearest of others, and from
+    """Return the mean square of the distance from points (B, n, 3) to the nearest of others, and
+    from
     those to these: samples of one surface are never quite alike, and squares make little of it."""
     far = torch.cdist(some, others)
     return far.amin(2).square().mean() + far.amin(1).square().mean()

@@ -91,7 +91,8 @@ def location(pivots: Tensor, points: Tensor, occupied: Tensor, inside: Tensor) -
 
 
 def release_location(pivots: Tensor, points: Tensor, occupied: Tensor, fields: Tensor) -> Tensor:
-    """Return mean squared distance from a pivot to where its part and the fixed part meet, (...).
+    """Return the mean squared distance from a pivot to where its part and the fixed part meet,
+    (...).
 
     Args:
         pivots: (..., B, R, 3), the final ones and the raw q^c for instance.

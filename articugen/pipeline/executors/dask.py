@@ -90,7 +90,7 @@ class Dask(Executor):
 
 
 class _Width:
-    """How many tasks the cluster does at once: workers come and go, but asking takes time."""
+    """Number of tasks the cluster does at once: workers come and go, but asking takes time."""
 
     def __init__(self, client: Any) -> None:
         self._client, self._found, self._asked = client, 0, -math.inf

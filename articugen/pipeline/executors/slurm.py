@@ -51,7 +51,7 @@ _LIKE = "give slurm, or slurm://partition?tasks=100&cpus=4&time=60, and other op
 
 @dataclass(frozen=True)
 class Array:
-    """What is asked of SLURM.
+    """Array of SLURM jobs.
 
     Attributes:
         partition: "" for the default one.
@@ -160,7 +160,7 @@ class Slurm(Executor):
 
 @dataclass(frozen=True)
 class _Rank:
-    """What a task of the array does. At its limit of time submitit queues it again."""
+    """Task of the array. At its limit of time submitit queues it again."""
 
     job: Job
     command: str

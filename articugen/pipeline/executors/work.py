@@ -23,7 +23,7 @@ Notice = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be done with each task of a run; it can be sent to other processes.
+    """Work to be done for each task of a run; it can be sent to other processes.
 
     Attributes:
         job: what the tasks are of.
@@ -125,7 +125,8 @@ class Elsewhere:
 
 
 class Executor(Protocol):
-    """Who makes objects. Inherit from this: what has a body need not be given.
+    """Executor of tasks: it says where objects are made. Inherit from this: what has a body need
+    not be given.
 
     Attributes:
         is_here: whether its workers end with this process. If so, an interrupted run tidies up.

@@ -22,7 +22,7 @@ from articugen.sources.shapes import Shapes, joined
 
 
 class Model:
-    """What a file says.
+    """Contents of a file.
 
     Attributes:
         links: meshes by name, that of the world first.

@@ -35,7 +35,7 @@ def pxr(*names: str) -> list[Any]:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a layer lies: a file, or a file inside of a .usdz file."""
+    """Place of a layer: a file, or a file inside of a .usdz file."""
 
     file: Path
     inside: str = ""
@@ -46,7 +46,7 @@ class Place:
 
 
 class Layers:
-    """All layers of a model, from its main file on, whose Sdf.Layer is `root`."""
+    """Layers of a model, from its main file on, whose Sdf.Layer is `root`."""
 
     def __init__(self, path: Path, files: ModelFiles) -> None:
         """Read them all, from the main file at `path` on; InvalidSource if one is missing,
@@ -119,7 +119,7 @@ class Layers:
 
 
 def plainly(text: str) -> str:
-    """What OpenUSD says, without the addresses by which it knows layers in memory."""
+    """Return an error of OpenUSD without the addresses by which it knows layers in memory."""
     return " ".join(_ANONYMOUS.sub("", text).split())[:300]
 
 

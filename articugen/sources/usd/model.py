@@ -28,7 +28,7 @@ _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True)
 class Model:
-    """What a file says.
+    """Contents of a file.
 
     Attributes:
         links: name and mesh of each, in the link's frame, metres; the fixed one first. Of a model
@@ -88,7 +88,7 @@ class _Found:
 
 
 class _Reading:
-    """Of one stage."""
+    """Reader of one stage."""
 
     def __init__(self, path: Path, stage: Any, with_meshes: bool) -> None:
         self._path, self._stage, self._with_meshes = path, stage, with_meshes
@@ -140,7 +140,8 @@ class _Reading:
         return found
 
     def _prims(self) -> Iterator[Any]:
-        """Those of the default prim, where the file names one; what instances share once each."""
+        """Yield the prims of the default prim, where the file names one; shared instances once
+        each."""
         (Usd,) = pxr("Usd")
         default = self._stage.GetDefaultPrim()
         top = default if default else self._stage.GetPseudoRoot()
@@ -163,8 +164,8 @@ class _Reading:
             )
 
     def _names(self, prims: Sequence[Any]) -> list[str]:
-        """Of each prim, the shown one where it has one; those that share one by their paths. None
-        is the world, whose name nobody else gets."""
+        """Return a name of each prim, the shown one where it has one; those that share one by their
+        paths. None is the world, whose name nobody else gets."""
         plain = [prim.GetDisplayName() or prim.GetName() if prim else _WORLD_NAME for prim in prims]
         count = Counter(plain)
         taken = {_WORLD_NAME, *(name for name in plain if count[name] == 1)}
@@ -185,7 +186,7 @@ class _Reading:
         return names
 
     def _meshes(self, found: _Found, physics: Stage, origins: Floats) -> list[Mesh | None]:
-        """All that each link shows, in its frame."""
+        """Return the meshes of each link, in its frame."""
         own: list[list[Any]] = [[] for _ in origins]
         for prim in found.shapes:
             body = body_of(prim)

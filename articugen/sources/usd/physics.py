@@ -35,7 +35,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Stage:
-    """What all joints of a stage share.
+    """Facts that all joints of a stage share.
 
     Attributes:
         where: the file, for messages.
@@ -126,7 +126,8 @@ def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
 
 
 def _end(prim: Any, stage: Stage, number: int, by: str) -> tuple[int, Floats]:
-    """The body at one end of a joint, and the joint's frame as that end has it, (4, 4) metres."""
+    """Return the body at one end of a joint, and the joint's frame as that end has it, (4, 4)
+    metres."""
     targets = prim.GetRelationship(f"physics:body{number}").GetTargets()
     T, body = np.eye(4), WORLD
     if targets:
