@@ -330,7 +330,7 @@ def test_what_users_add_is_left_alone_and_told_of(folder):
     with h5py.File(folder / "train-00000.h5") as shard:
         assert shard["user/score"][:].tolist() == [0.0, 1.0]
     done = command_line.run("verify", folder)
-    assert "1 with a group 'user', which was not looked at" in " ".join(done.output.split())
+    assert "1 with a group 'user', which was not checked" in " ".join(done.output.split())
     with h5py.File(folder / "train-00000.h5", "r+") as shard:
         del shard["user"]  # the file is no longer what it was, and nothing explains it
     assert found(verify(folder)) == {("train-00000.h5", "checksum")}

@@ -19,7 +19,7 @@ PAGES = sorted(
     {*(CHECKOUT / "docs").rglob("*.md"), CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md"}
 )
 
-LEFT = {"clause": 0, "article": 0, "type": 0, "name": 317, "dialect": 114}
+LEFT = {"clause": 0, "article": 0, "type": 0, "name": 19, "dialect": 1}
 
 CLAUSES = {
     "What", "Of", "How", "Whether", "Where", "Whose", "That", "Those", "For", "As", "In", "Which",

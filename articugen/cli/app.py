@@ -58,8 +58,8 @@ def _stop_once(stopped: list[int], number: int, frame: FrameType | None) -> None
     what is optional, and the work would go on: then the process ends as if it were killed, after
     which everything can be resumed as well.
     """
-    for each in STOPPED:
-        signal.signal(each, signal.SIG_IGN)
+    for one in STOPPED:
+        signal.signal(one, signal.SIG_IGN)
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             _leave_at_once(STOPPED[number])

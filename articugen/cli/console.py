@@ -136,8 +136,8 @@ def _add_left_out(
 ) -> None:
     """Add a row for each object that failed or was rejected, and one for all that were skipped."""
     for word, objects in (("failed", failed), ("rejected", rejected)):
-        for each in objects:
-            table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(each.sentence)}[/]")
+        for entry in objects:
+            table.add_row(f"[yellow]{word}[/]", f"[yellow]{escape(entry.sentence)}[/]")
     for first in skipped[:1]:
         count = counted(len(skipped), "object")
         table.add_row("skipped", escape(f"{count}, such as {first.sentence}"))
@@ -176,9 +176,9 @@ def progress(console: Console, plan: Plan) -> Iterator[tuple[OnObject, OnNotice]
         # why an object was not made stands in `made_table`
         ended = {"rejected": report.rejected, "skipped": report.skipped, "failed": report.failed}
         word = next((word for word, why in ended.items() if why is not None), "")
-        made = f"{report.instances} instances in {duration(report.seconds)}"
+        text = f"{report.instances} instances in {duration(report.seconds)}"
         which = f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}"
-        say(f"{which}: {word or made}", to=console)
+        say(f"{which}: {word or text}", to=console)
 
     with bar:
         yield on_object, lambda sentence: say((sentence, "yellow"), to=console)

@@ -53,24 +53,24 @@ def inspect(
 
     compile_kernels("inspect", notice=stderr.print)
     counts = {"objects": objects, "states": states}
-    asked = {name: count for name, count in counts.items() if count is not None}
+    chosen = {name: count for name, count in counts.items() if count is not None}
     if image is not None:
         from articugen.pictures.contact_sheet import contact_sheet
 
         with stderr.status("drawing ..."):
-            contact_sheet(shards, image, **asked)
+            contact_sheet(shards, image, **chosen)
         say(f"drawn: {image}")
     if html is not None:
         from articugen.inspection.report.page import write_report
 
-        with stderr.status("looking at all of it ..."):
-            written = write_report(path, shards, html, beside=beside, **asked)
+        with stderr.status("reading all of it ..."):
+            written = write_report(path, shards, html, beside=beside, **chosen)
         say(f"report: {html}, {size(written)}")
 
 
 @offered("articugen compare data/oven real/oven --image farthest.png")
 def compare(
-    first: Path = argument("A set, or a shard: what is at hand."),
+    first: Path = argument("A set, or a shard."),
     second: Path = argument("Another: what it is to be like."),
     image: Path | None = option(None, "Draw the second set's farthest into this PNG.", "-i"),
     json: bool = option(False, "Print numbers for other programs."),
@@ -84,14 +84,14 @@ def compare(
         check_picture(image)
     compile_kernels("inspect", notice=stderr.print)
     with stderr.status("comparing all objects ..."):
-        found = likeness.likeness(first, second)
+        alike = likeness.likeness(first, second)
         if image is not None:
-            save(likeness.farthest(found), image)
+            save(likeness.farthest(alike), image)
     if json:
-        stdout.print_json(data=found.numbers)
+        stdout.print_json(data=alike.numbers)
         return
     table = quiet_table("", ">first", ">second")
-    for line in likeness.rows(found):
+    for line in likeness.rows(alike):
         table.add_row(*line)
     stdout.print(table)
     stdout.print(
@@ -165,7 +165,7 @@ def verify(
     jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
     replay: int = option(
         0,
-        "Make so many instances again from their source: each must come out the same to "
+        "Make this many instances again from their source: each must come out the same to "
         "the byte, with its surface points on the field's zero level.",
         min=0,
     ),
@@ -184,10 +184,10 @@ def verify(
 
     status = 0
     for folder in data_sets(path, follow=not repair):
-        with counting_bar() as told:
+        with counting_bar() as count_shard:
             report = check(
                 folder, replay=replay, repair=repair, drop_user=drop_user, jobs=jobs,
-                on_shard=_counter(folder, told),
+                on_shard=_counter(folder, count_shard),
                 on_repair=lambda done, folder=folder: say(
                     ("+", "green") if done.ok else ("-", "yellow"), f" {folder}: {done}"
                 ),
@@ -198,7 +198,7 @@ def verify(
         if report.ok:
             replayed = f"; {replay} came out the same, made again" if replay else ""
             more = len(report.extended)
-            theirs = f"; {more} with a group 'user', which was not looked at" if more else ""
+            theirs = f"; {more} with a group 'user', which was not checked" if more else ""
             say(
                 ("✓", "green"),
                 f" {folder}: {report.shards} shards, {report.instances:,} instances are as they "
@@ -212,10 +212,12 @@ def verify(
     return status
 
 
-def _counter(folder: Path, told: Callable[[int, int, str], None]) -> Callable[[str], None]:
-    """To be called with the name of each shard that has been looked at."""
+def _counter(folder: Path, count_shard: Callable[[int, int, str], None]) -> Callable[[str], None]:
+    """To be called with the name of each shard that has been checked."""
     shards, done = sum(1 for _ in folder.glob("*.h5")), count()  # a repair looks at them again
-    return lambda name: told(next(done) % max(shards, 1) + 1, shards, f"{folder.name}: {name}")
+    return lambda name: count_shard(
+        next(done) % max(shards, 1) + 1, shards, f"{folder.name}: {name}"
+    )
 
 
 @offered("articugen clean data/laptop --dry-run")

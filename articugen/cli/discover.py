@@ -32,7 +32,7 @@ def discover(
         "clouds (.ply, .npy, .npz, .xyz) or occupancy grids (.npy)."
     ),
     poses: int | None = option(
-        None, "So many poses of each object of a data set.", min=2, show_default="all"
+        None, "Poses of each object of a data set.", min=2, show_default="all"
     ),
     joints: Sequence[str] = option(
         (),
@@ -57,20 +57,20 @@ def discover(
         with stderr.status("grouping ..."):
             objects = found_joints.group_all(paths[0])
         say(_agreement(objects))
-        told: object = objects.as_json()
+        numbers: object = objects.as_json()
     elif len(paths) > 1:
         with stderr.status("searching ..."):
-            found = found_joints.discover(paths, joints=joints)
-        _print("", found)
-        told = {"joints": found_joints.as_json(found)}
+            discovery = found_joints.discover(paths, joints=joints)
+        _print("", discovery)
+        numbers = {"joints": found_joints.as_json(discovery)}
     else:
         objects = _of_data_set(paths[0], poses, joints)
-        told = [
+        numbers = [
             {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
             for o in objects
         ]
     if output is not None:
-        write_atomically(output, json.dumps(told, indent=1).encode())
+        write_atomically(output, json.dumps(numbers, indent=1).encode())
 
 
 def _agreement(objects: "ObjectGroups") -> str:
@@ -89,30 +89,30 @@ def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[
 
     done = count(1)
 
-    def tell(found: "ObjectJoints", objects: int) -> None:
-        told(next(done), objects, found.object_id)
-        if found.found is None:
-            say((found.object_id, "bold"), f"  {found.why}")
+    def tell(outcome: "ObjectJoints", objects: int) -> None:
+        count_object(next(done), objects, outcome.object_id)
+        if outcome.found is None:
+            say((outcome.object_id, "bold"), f"  {outcome.why}")
         else:
-            _print(found.object_id, found.found)
+            _print(outcome.object_id, outcome.found)
 
-    with counting_bar() as told:
+    with counting_bar() as count_object:
         data = found_joints.open_data_set(path)
         objects = found_joints.discover_all(data, poses=poses, joints=joints, on_object=tell)
     say(_summary(objects))
     return objects
 
 
-def _print(name: str, found: "Discovery") -> None:
+def _print(name: str, discovery: "Discovery") -> None:
     if name:
         say((name, "bold"))
-    if found.joints:
-        stdout.print(_table(found))
+    if discovery.joints:
+        stdout.print(_table(discovery))
     else:
         say("something moves, but no single joint explains it")
 
 
-def _table(found: "Discovery") -> "Table":
+def _table(discovery: "Discovery") -> "Table":
     import numpy as np
 
     from articugen.core.records import JointKind
@@ -121,7 +121,7 @@ def _table(found: "Discovery") -> "Table":
         return " ".join(f"{x:.{digits}f}" for x in np.round(v, digits) + 0.0)
 
     table = quiet_table("joint", "axis", "pivot", "states", ">score")  # 80 columns; JSON has more
-    for joint in found.joints:
+    for joint in discovery.joints:
         turns = joint.kind == JointKind.REVOLUTE
         low, high = joint.states.min(), joint.states.max()
         span = (

@@ -54,7 +54,7 @@ def export(
     assert data is not None
     assert to is not None
     assert out is not None
-    with counting_bar() as told:
+    with counting_bar() as count_item:
         done = run(
             data,
             to,
@@ -64,7 +64,7 @@ def export(
             from_grids=from_grids or None,
             collision=collision or None,
             occupancy=occupancy,
-            on_item=lambda count, items, item: told(count, items, item.key),
+            on_item=lambda count, items, item: count_item(count, items, item.key),
         )
     for sentence in done.left_out:
         say(("left out", "yellow"), f" {sentence}")

@@ -69,7 +69,7 @@ def fetch_models(
 
     terms = terms_of(source)
     say(f"{terms.origin}\n", ("terms:", "bold"), f" {terms.licence}")
-    with counting_bar() as told:
+    with counting_bar() as count_file:
         done = fetch(
             source,
             out,
@@ -78,7 +78,7 @@ def fetch_models(
             token=token,
             via=via,
             archives=archives,
-            on_progress=told,
+            on_progress=count_file,
             on_notice=lambda text: say(printable(text), to=stderr),
         )
     _print(done)
@@ -96,5 +96,5 @@ def _print(done: "Fetched") -> None:
         f"{done.folder}: {done.models} models, {done.new} of them new, {sound} sound; "
         f"listed with their terms in {LIST_NAME}"
     )
-    category = "object" if done.terms.source == "articraft" else "all"  # which tells no categories
+    category = "object" if done.terms.source == "articraft" else "all"  # which has no categories
     say(f"next: {command('generate', '--source', done.folder, '--category', category)}")

@@ -70,7 +70,7 @@ def generate(
 
 
 def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
-    """Make one data set, or a share of it, and tell of it; the exit status."""
+    """Make one data set, or a share of it, and report on it; the exit status."""
     from articugen.cli import console
     from articugen.pipeline.run import started
 
@@ -125,9 +125,7 @@ def _made_each(*todo: "Job", dry_run: bool, replace: bool) -> int:
 def merge(
     path: Path = argument("The folder that ranks have filled, or one of such folders."),
     jobs: int | None = option(None, "Shards read at once.", "-j", min=1, show_default="all cores"),
-    sizes_only: bool = option(
-        False, "Compare sizes alone; `articugen verify` looks at every byte."
-    ),
+    sizes_only: bool = option(False, "Compare sizes alone; `articugen verify` checks every byte."),
 ) -> int:
     """Check what `generate --shard` has made, and write the manifest."""
     from articugen.cli import console
@@ -136,9 +134,13 @@ def merge(
 
     status = 0
     for folder in data_sets(path, follow=False):
-        with counting_bar() as told:
+        with counting_bar() as count_object:
             manifest = merge_shares(
-                folder, jobs=jobs, sizes_only=sizes_only, on_object=told, on_notice=stdout.print
+                folder,
+                jobs=jobs,
+                sizes_only=sizes_only,
+                on_object=count_object,
+                on_notice=stdout.print,
             )
         status = max(status, console.tell(manifest, folder))
     return status

@@ -246,15 +246,15 @@ def predict(
     from articugen.learning import commands
 
     with stderr.status("looking, cutting, drawing ..."):
-        made = commands.predict(
+        predicted = commands.predict(
             run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
         )
-    if made.cloud.hint:
-        say(made.cloud.hint, to=stderr)
-    for line in made.lines():
+    if predicted.cloud.hint:
+        say(predicted.cloud.hint, to=stderr)
+    for line in predicted.lines():
         say(line)
-    cut = "".join(f", {path.name}" for path in made.cut)
-    say(f"written: {made.path}{cut}")
+    cut = "".join(f", {path.name}" for path in predicted.cut)
+    say(f"written: {predicted.path}{cut}")
 
 
 @offered()

@@ -35,7 +35,7 @@ def offered(
 
     Args:
         examples: commands, and words on them, for its help.
-        interrupted: what is said where it is interrupted.
+        interrupted: the message where it is interrupted.
         settings: further ones of `app.command`.
     """
     heading = "Example: " if len(examples) == 1 else "Examples:\n\n"
@@ -43,21 +43,21 @@ def offered(
 
     def decorated(function: Callable[..., int | None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        asked = {one.name: one for one in _asked(signature)}
+        wanted = {one.name: one for one in _asked(signature)}
         records = {p.name: p.annotation for p in signature.parameters.values() if _is_record(p)}
 
         @wraps(function)
         def called(**values: Any) -> None:
-            given = {one.name: _value(one, values.get(one.name)) for one in asked.values()}
+            arguments = {one.name: _value(one, values.get(one.name)) for one in wanted.values()}
             for place, record in records.items():
-                own = [one.name for one in fields(record) if one.name in given]
-                given[place] = record(**{name: given.pop(name) for name in own})
+                names = [one.name for one in fields(record) if one.name in arguments]
+                arguments[place] = record(**{name: arguments.pop(name) for name in names})
             with said(interrupted):
-                status = function(**given)
+                status = function(**arguments)
             if status:
                 raise typer.Exit(status)
 
-        parameters = [*map(_parameter, asked.values())]
+        parameters = [*map(_parameter, wanted.values())]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
         app.command(name, epilog=epilog, **settings)(called)

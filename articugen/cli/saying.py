@@ -62,10 +62,10 @@ def called_by_make() -> bool:
 def command(*words: object) -> str:
     """Return a command of ours as it can be pasted: `articugen`, or how this process was called
     where no such command is found, as in an environment that is not activated."""
-    program, found = [sys.argv[0]], which("articugen")
+    program, installed = [sys.argv[0]], which("articugen")
     if os.path.basename(program[0]) != "articugen":  # python -m articugen
-        program = ["articugen"] if found else [sys.executable, "-m", "articugen"]
-    elif found and os.path.realpath(found) == os.path.realpath(program[0]):
+        program = ["articugen"] if installed else [sys.executable, "-m", "articugen"]
+    elif installed and os.path.realpath(installed) == os.path.realpath(program[0]):
         program = ["articugen"]
     return shlex.join([*program, *map(str, words)])
 
@@ -104,7 +104,7 @@ def said(interrupted: str = "interrupted") -> Iterator[None]:
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """While a large library loads: for seconds Python hears of no signal, and nothing is at hand to
+    """While a large library loads: for seconds Python hears of no signal, and there is nothing to
     be put in order, so that SIGTERM simply ends the process."""
     before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
@@ -115,8 +115,8 @@ def loading() -> Iterator[None]:
 
 @contextmanager
 def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar with the time left, to be told what is done, of how many, and what is at hand; nothing
-    where stderr is no terminal."""
+    """A bar with the time left, called with what is done, of how many, and what is being done;
+    nothing where stderr is no terminal."""
     from rich.progress import (  # noqa: PLC0415
         BarColumn,
         Progress,

@@ -98,10 +98,10 @@ class Backend:
         depth = np.full((len(views), views.height, views.width), np.inf, np.float32)
         face = np.full(depth.shape, -1, np.int32)
         for part in np.unique(mesh.part_of_face).tolist():
-            own = self.render(mesh.part(part), views).depth
-            assert own is not None
-            nearer = own < depth
-            depth[nearer] = own[nearer]
+            of_part = self.render(mesh.part(part), views).depth
+            assert of_part is not None
+            nearer = of_part < depth
+            depth[nearer] = of_part[nearer]
             face[nearer] = np.argmax(mesh.part_of_face == part)
         return DepthMaps(depth, face, views)
 

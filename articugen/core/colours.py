@@ -42,9 +42,9 @@ def part_colours(labels: Sequence[int], dominant: Sequence[int]) -> list[str]:
     """
     colours = [UNNAMED] * len(labels)
     for label in sorted(set(labels) - {-1}):
-        mine = [i for i, given in enumerate(labels) if given == label]
-        mine.sort(key=lambda i: dominant[i] != label)
-        for rank, i in enumerate(mine):
+        parts = [i for i, one in enumerate(labels) if one == label]
+        parts.sort(key=lambda i: dominant[i] != label)
+        for rank, i in enumerate(parts):
             shade = _SHADES[min(rank, len(_SHADES) - 1)]
             colours[i] = shaded(colour_of(label), shade)
     return colours

@@ -102,15 +102,15 @@ def _stamp(command: str) -> Path:
     rooms = (_PACKAGE.joinpath(*module.split(".")) for module in sorted(modules))
     files = (file for room in rooms for file in sorted(room.rglob("*.py")))
     for file in [_PACKAGE / "core" / "jit.py", _PACKAGE / "core" / "near.py", *files]:
-        state = file.stat()  # numba, too, looks at no more than that
+        state = file.stat()  # numba, too, checks no more than that
         known.append(f"{file.relative_to(_PACKAGE)} {state.st_mtime_ns} {state.st_size}")
     digest = hashlib.sha256("\n".join(known).encode()).hexdigest()
     return _folder() / f"compiled-{command}-{digest[:16]}"
 
 
 def _folder() -> Path:
-    if asked := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(asked)
+    if folder := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(folder)
     beside = _PACKAGE / "__pycache__"
     writable = os.access(beside if beside.exists() else _PACKAGE, os.W_OK)
     return beside if writable else CACHE / "kernels"
@@ -118,7 +118,7 @@ def _folder() -> Path:
 
 def _processor() -> tuple[str, str]:
     """Return the processor that numba compiles for."""
-    asked = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
-    if None not in asked:
-        return str(asked[0]), str(asked[1])
+    named = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    if None not in named:
+        return str(named[0]), str(named[1])
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()

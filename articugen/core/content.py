@@ -63,8 +63,8 @@ def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
         recipe: its text, which names what it asks for besides and nothing else of that.
         forms: which of FORMS it has.
     """
-    own = {f"{models} models": model_version(models)} if models else {}
-    own |= {f"{form} models": FORMS[form] for form in forms}
+    models_of = {f"{models} models": model_version(models)} if models else {}
+    models_of |= {f"{form} models": FORMS[form] for form in forms}
     asks = '"sharp_points":' in recipe
-    numbers = {n: v for n, v in (STAGES | own).items() if asks or n != "sharp"}
+    numbers = {n: v for n, v in (STAGES | models_of).items() if asks or n != "sharp"}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

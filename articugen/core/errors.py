@@ -67,8 +67,8 @@ def installing(extra: str) -> str:
     from."""
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - slow to import
 
-    own = os.path.join(os.path.dirname(sys.executable), "pip")
-    pip = "pip" if which("pip") == own else f"{shlex.quote(sys.executable)} -m pip"
+    beside = os.path.join(os.path.dirname(sys.executable), "pip")
+    pip = "pip" if which("pip") == beside else f"{shlex.quote(sys.executable)} -m pip"
     where = "articugen"  # pip finds an installed one, which is published nowhere
     try:
         version(where)
@@ -116,7 +116,7 @@ _MACHINE = {
     errno.ETIMEDOUT: "the network's disk does not answer; see to it",
     errno.ENODEV: "the disk is gone; see to it",
 }
-"""What an OSError can tell of that is no file's fault, and the cure."""
+"""Errors of the system that are no file's fault, and the cure."""
 
 _NO_LIBRARY_FOR_WANT_OF_MEMORY = ("Cannot allocate memory", "failed to map segment")
 
@@ -125,7 +125,7 @@ def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
     """Return the fault of the machine that `error` is, or that it was raised over; None where it is
     none.
 
-    Readers turn whatever they meet into an `InvalidSource`; what they met tells whose fault it was.
+    Readers turn whatever they meet into an `InvalidSource`; what they met shows whose fault it was.
     """
     for cause in _behind(error):
         if isinstance(cause, MachineFault | MemoryError):
@@ -147,9 +147,9 @@ def machine_fault(error: BaseException) -> MachineFault | MemoryError | None:
 
 def _behind(error: BaseException | None) -> Iterator[BaseException]:
     """`error`, and what was being handled as it was raised, and so on."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
+    known: set[int] = set()
+    while error is not None and id(error) not in known:
+        known.add(id(error))
         yield error
         error = error.__cause__ or error.__context__
 

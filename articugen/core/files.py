@@ -121,17 +121,17 @@ def within(folder: Path, name: str) -> Path:
 
 def check_regular(path: Path) -> None:
     """Raise an OSError if a library that opens this would wait for a writer, or finds nothing."""
-    found = os.stat(path)
-    _check_regular(found, found.st_size)
+    status = os.stat(path)
+    _check_regular(status, status.st_size)
 
 
-def _check_regular(found: os.stat_result, most_bytes: int) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "a device")
+def _check_regular(status: os.stat_result, most_bytes: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "a device")
         raise UnfitFile(errno.EINVAL, f"it is {kind}, not a regular file")
-    if found.st_size > most_bytes:
+    if status.st_size > most_bytes:
         raise UnfitFile(
-            errno.EFBIG, f"{found.st_size:,} bytes, more than the {most_bytes:,} that it may have"
+            errno.EFBIG, f"{status.st_size:,} bytes, more than the {most_bytes:,} that it may have"
         )
 
 
@@ -150,7 +150,7 @@ def written_atomically(
     The bytes go to a temporary name in the same folder and to the disk (fsync); `check` examines
     that file and raises where it is not as it should be; only then it gets its name, and the folder
     is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
-    what it was, and the temporary file is gone. `size`, where it is known, is told if the disk is
+    what it was, and the temporary file is gone. `size`, where it is known, is known if the disk is
     full.
 
     Raises:
@@ -216,7 +216,7 @@ def cannot_write(path: Path, error: OSError, size: int = 0) -> str:
 
 
 def room_at(path: Path) -> int:
-    """Return the bytes that are free where a path is, or will be; OSError if nobody can tell."""
+    """Return the bytes that are free where a path is, or will be; OSError if that is unknown."""
     path = path.absolute()
     disk = shutil.disk_usage(next(p for p in (path, *path.parents) if p.exists()))
     if not disk.total:  # as file systems say that do not know

@@ -117,8 +117,8 @@ def pick_by_weight(weights: ArrayLike, at: NDArray[np.floating]) -> Indices:
     """Return (n,) the index at the share `at` (n,), each in [0, 1), of the sum of the weights
     (F,)."""
     cumulative = np.cumsum(weights)
-    found = np.searchsorted(cumulative, at * cumulative[-1], side="right")
-    return np.minimum(found, len(cumulative) - 1)
+    index = np.searchsorted(cumulative, at * cumulative[-1], side="right")
+    return np.minimum(index, len(cumulative) - 1)
 
 
 def points_in_triangles(

@@ -1,4 +1,4 @@
-"""The ledger of work that goes on where it stopped: one record a finished thing, written whole.
+"""The ledger of work that resumes where it stopped: one record a finished thing, written whole.
 
 It lies beside what is made, in a folder or an object store, and nothing in it is ever appended to:
 
@@ -29,11 +29,11 @@ _CLAIMS = f"{LEDGER}/claims"
 _CLOCKS = f"{LEDGER}/clocks"
 
 _PAUSES = (0.0, 0.01, 0.1, 0.5)
-"""Seconds before each look at a plan: on a file system without links another process may be
+"""Seconds before each reading of a plan: on a file system without links another process may be
 writing it just now."""
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
-_LONGEST = 60  # letters of a key that its file is called by; a digest tells keys apart
+_LONGEST = 60  # letters of a key that its file is called by; a digest distinguishes keys
 
 
 class Ledger:
@@ -100,7 +100,7 @@ class Ledger:
         if keys is None:
             return self._values(dict.fromkeys(self.recorded()))
         names: dict[str, str | None] = {_file_of(key): key for key in keys}
-        if len(names) > self.place.at_once > 1:  # one listing tells which are there
+        if len(names) > self.place.at_once > 1:  # one listing says which are there
             there = self.recorded()
             names = {name: key for name, key in names.items() if name in there}
         return self._values(names)
@@ -113,7 +113,7 @@ class Ledger:
         return self._values(dict.fromkeys(names))
 
     def mark(self) -> None:
-        """Have `news` tell of what is recorded from now on."""
+        """Call `news` for what is recorded from now on."""
         self._marked = self.recorded()
 
     def _values(self, names: Mapping[str, str | None]) -> dict[str, bytes]:
@@ -199,7 +199,7 @@ class Ledger:
         return [name for name in self.files() if whole_name(name.rpartition("/")[2]) is not None]
 
     def seal(self, report: Iterable[tuple[str, bytes]], *, keep: bool = False) -> None:
-        """Write files, by name, that tell of all of it, in their order, the last of which makes it
+        """Write files, by name, that describe all of it, in their order, the last of which makes it
         count as finished; then remove the ledger, unless others may still be reading it
         (`keep`)."""
         for name, data in report:

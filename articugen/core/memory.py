@@ -16,8 +16,8 @@ _LARGEST = 32 << 20  # of the blocks that glibc keeps
 
 
 def give_back(block: int) -> None:
-    """From now on blocks of so many bytes or more go back to the system as soon as they are freed.
-    Asking for them again takes longer."""
+    """From now on blocks of this many bytes or more go back to the system as soon as they are
+    freed. Asking for them again takes longer."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_TRIM_THRESHOLD, 2 * block)  # glibc's own ratio
@@ -37,13 +37,13 @@ def given_back(block: int) -> Iterator[None]:
 def resident_bytes(pids: Sequence[int]) -> dict[int, int]:
     """Return the memory that processes hold, by their id; without those that are gone."""
     if Path("/proc/self/statm").exists():
-        held = {}
+        resident = {}
         for pid in pids:
             with suppress(OSError, IndexError):
                 pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-                held[pid] = pages * os.sysconf("SC_PAGE_SIZE")
-        return held
+                resident[pid] = pages * os.sysconf("SC_PAGE_SIZE")
+        return resident
     command = ["ps", "-o", "pid=,rss=", "-p", ",".join(map(str, pids))]
     listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
     numbers = list(map(int, listed))
-    return {pid: 1024 * held for pid, held in zip(numbers[::2], numbers[1::2], strict=True)}
+    return {pid: 1024 * resident for pid, resident in zip(numbers[::2], numbers[1::2], strict=True)}

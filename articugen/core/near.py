@@ -76,8 +76,9 @@ def reached(cells, axis, at, reach):
 
 
 @helper
-def near(cells, points, at, reach, found):
-    """Write the indices of the points within `reach` of `at` to `found` (n,); how many they are."""
+def near(cells, points, at, reach, indices):
+    """Write the indices of the points within `reach` of `at` to `indices` (n,); how many they
+    are."""
     x, y, z = at[0], at[1], at[2]
     order, first = cells.order, cells.first
     x_low, x_end = reached(cells, 0, x, reach)
@@ -91,7 +92,7 @@ def near(cells, points, at, reach, found):
                 k = order[n]
                 dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                 if dx**2 + dy**2 + dz**2 < reach * reach:
-                    found[count] = k
+                    indices[count] = k
                     count += 1
     return count
 
@@ -119,16 +120,16 @@ def any_within(among: Sorted, queries: Floats, radius: float) -> Bools:
 def nearest_within(among: Sorted, queries: Floats, radius: float) -> Indices:
     """Return (n,) which of the points, by their places before, is nearest to each query (n, 3)
     within `radius`, or -1; of several equally near one."""
-    found = _within(among, queries, radius, False)
-    found[found >= 0] = among.cells.order[found[found >= 0]]
-    return found
+    indices = _within(among, queries, radius, False)
+    indices[indices >= 0] = among.cells.order[indices[indices >= 0]]
+    return indices
 
 
 @kernel
 def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
     """Return (n,) the place among the sorted points of the nearest to each query, or of any."""
     points, cells = among.points, among.cells
-    found, reach = np.full(len(queries), -1, np.int64), radius + _ROUNDING
+    nearest, reach = np.full(len(queries), -1, np.int64), radius + _ROUNDING
     for k in range(len(queries)):
         query, best = (queries[k, 0], queries[k, 1], queries[k, 2]), radius * radius
         x_low, x_end = reached(cells, 0, query[0], reach)
@@ -138,8 +139,8 @@ def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
             row = ((x_low + x_end) // 2 * cells.shape[1] + (y_low + y_end) // 2) * cells.shape[2]
             if x_low < x_end and y_low < y_end:
                 begin, end = cells.first[row + z_low], cells.first[row + z_end]
-                found[k] = _nearest(points, begin, end, query, best)[0]
-                if found[k] >= 0:
+                nearest[k] = _nearest(points, begin, end, query, best)[0]
+                if nearest[k] >= 0:
                     continue
         for x in range(x_low, x_end):
             off = _off(cells, 0, x, query[0])
@@ -149,13 +150,13 @@ def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
                 row = (x * cells.shape[1] + y) * cells.shape[2]
                 begin, end = cells.first[row + z_low], cells.first[row + z_end]
                 i, d = _nearest(points, begin, end, query, best)
-                if i >= 0 and (d < best or found[k] < 0):
-                    best, found[k] = d, i
+                if i >= 0 and (d < best or nearest[k] < 0):
+                    best, nearest[k] = d, i
                 if any_one and i >= 0:
                     break
-            if any_one and found[k] >= 0:
+            if any_one and nearest[k] >= 0:
                 break
-    return found
+    return nearest
 
 
 @helper
@@ -170,11 +171,11 @@ def _off(cells, axis, cell, at):  # pragma: no cover - compiled
 @inlined
 def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
     """Return (i, d): nearest of points[first:last], its squared distance; (-1, most) if too far."""
-    found, least = -1, most
+    nearest, least = -1, most
     for i in range(first, last):
         n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
         x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
         d = x * x + y * y + z * z
-        if d < least or (d == least and found < 0):
-            found, least = i, d
-    return found, least
+        if d < least or (d == least and nearest < 0):
+            nearest, least = i, d
+    return nearest, least

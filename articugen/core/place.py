@@ -57,7 +57,7 @@ class Place(Protocol):
         ...
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file, in the place of any that was there."""
+        """Write a file, instead of any that was there."""
         ...
 
     def write_new(self, name: str, data: bytes) -> bool:

@@ -54,8 +54,8 @@ class Table:
         self.check(name)
         if name not in self.ours:
             return _load(self, _installed(self.group)[name])
-        own = self.ours[name]
-        return EntryPoint(name, own, self.group).load() if isinstance(own, str) else own
+        value = self.ours[name]
+        return EntryPoint(name, value, self.group).load() if isinstance(value, str) else value
 
     def load_all(self) -> dict[str, Any]:
         """Load all that can be loaded, by name, without `ours`; what cannot is logged."""
@@ -71,21 +71,21 @@ def forget() -> None:
 @cache
 def _installed(group: str) -> dict[str, EntryPoint]:
     """By name; of one name the first package's counts."""
-    found: dict[str, EntryPoint] = {}
+    points: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=group), key=lambda p: (p.name, _package(p))):
-        first = found.setdefault(point.name, point)
+        first = points.setdefault(point.name, point)
         if _package(first) != _package(point):
             _leave_out(point, _package(first))
-    return found
+    return points
 
 
 @cache
 def _found(group: str, ours: tuple[str, ...]) -> dict[str, EntryPoint]:
-    found = dict(_installed(group))
+    points = dict(_installed(group))
     for name in ours:
-        if name in found:
-            _leave_out(found.pop(name), "articugen")
-    return found
+        if name in points:
+            _leave_out(points.pop(name), "articugen")
+    return points
 
 
 def _leave_out(point: EntryPoint, other: str) -> None:

@@ -21,7 +21,7 @@ _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 _LN2 = (0.6931471806019545, -4.2009150726810846e-11)
 
 _TURNS = 2.0**20
-"""So many quarter turns `sin_cos` takes; more would lose digits that callers think they have."""
+"""Quarter turns that `sin_cos` takes; more would lose digits that callers think they have."""
 
 
 def product(*matrices: ArrayLike) -> Floats:

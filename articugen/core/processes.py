@@ -379,8 +379,8 @@ class Crew(Generic[T, R]):
         at_work = [(w, w.since) for w in self._at_work if w.since is not None]
         clocks = [w for w, since in at_work if now - since > self.limit.seconds]
         others = [w for w, _ in at_work if w not in clocks]
-        held = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}
-        heavy = [w for w in others if held.get(w.pid, 0) > most]
+        resident = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}
+        heavy = [w for w in others if resident.get(w.pid, 0) > most]
         return [(w, "seconds") for w in clocks] + [(w, "megabytes") for w in heavy]
 
     def _dismiss(self, worker: _Worker) -> int:

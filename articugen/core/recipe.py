@@ -101,7 +101,7 @@ class Fusion(_Section):
     """Fusion of depth maps into a field; docs/conventions.md states the rules.
 
     Attributes:
-        rule: `seen`: outside is what at least one view sees free; `reachable`: and what lies open
+        rule: `seen`: outside is what at least one view sees free; `reachable`: and the space open
             to that; `mean`: where the mean of the truncated distances is positive (Curless and
             Levoy 1996, Occupancy Networks); `rigid`: what no part's own solid holds, the material
             alone, the fastest.
@@ -170,7 +170,7 @@ class Sampling(_Section):
 
 class Images(_Section):
     """Images of every instance by cameras that all instances of an object share: pinholes that
-    look at it from random places above its middle.
+    see it from random places above its middle.
 
     Attributes:
         views: how many; 0 for none.
@@ -200,7 +200,7 @@ class Recipe(_Section):
     """One recipe, resolved. See the sections for the meaning of each key.
 
     Attributes:
-        objects: so many of the category; null means all.
+        objects: how many of the category; null means all.
         max_rejected_fraction: with more rejected objects than that a data set counts as failed.
         seconds_per_object: an object that takes longer is rejected; null means ten minutes and five
             seconds more for each instance.
@@ -246,14 +246,14 @@ class Recipe(_Section):
         """Return the resolved recipe as canonical JSON; equal recipes have equal texts. Keys that
         came after the first data sets are left out where they ask for nothing: those stay as they
         are."""
-        told = self.model_dump(mode="json")
+        values = self.model_dump(mode="json")
         for section, keys in _LATER.items():
             usual = type(getattr(self, section))().model_dump(mode="json")
             for key in keys:
-                if told[section][key] == usual[key]:
-                    del told[section][key]
-        told = {name: value for name, value in told.items() if value != {}}
-        return json.dumps(told, sort_keys=True, separators=(",", ":"))
+                if values[section][key] == usual[key]:
+                    del values[section][key]
+        values = {name: value for name, value in values.items() if value != {}}
+        return json.dumps(values, sort_keys=True, separators=(",", ":"))
 
     @staticmethod
     def of_text(text: str) -> "Recipe | None":
@@ -325,10 +325,10 @@ class Recipe(_Section):
         canonical: str | None = None,
     ) -> "Recipe":
         """Return it with other values, where given; InvalidRecipe if it cannot have them."""
-        own = {"objects": objects, "max_rejected_fraction": max_rejected}
+        changes = {"objects": objects, "max_rejected_fraction": max_rejected}
         joints = {"states": states, "movable": list(movable) or None, "canonical": canonical}
         data = self.model_dump()
-        for section, values in ((data, own), (data["articulation"], joints)):
+        for section, values in ((data, changes), (data["articulation"], joints)):
             section |= {name: value for name, value in values.items() if value is not None}
         return validated(Recipe, data, f"recipe {self.name!r}")
 
@@ -336,8 +336,8 @@ class Recipe(_Section):
         """This recipe as it is for a source: that its joints are clipped, or not, is then said."""
         if self.articulation.clip_to_limits != "source":
             return self
-        own = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
-        return self.model_copy(update={"articulation": own})
+        articulation = self.articulation.model_copy(update={"clip_to_limits": clips_to_limits})
+        return self.model_copy(update={"articulation": articulation})
 
 
 def check_category(name: str) -> None:
@@ -350,9 +350,9 @@ def check_category(name: str) -> None:
 
 
 def load_recipe(
-    given: "str | Path | Mapping[str, Any] | Recipe | None", category: str, source: str = ""
+    wanted: "str | Path | Mapping[str, Any] | Recipe | None", category: str, source: str = ""
 ) -> Recipe:
-    """Return the recipe `given`: a name under recipes/, a path, the keys of such a file, a recipe,
+    """Return the recipe `wanted`: a name under recipes/, a path, the keys of such a file, a recipe,
     which is taken as it is, or None for the category's own.
 
     A category's own is recipes/<category>-<source>.yaml, where that source has one to itself, else
@@ -361,18 +361,18 @@ def load_recipe(
     Raises:
         InvalidRecipe: no such recipe, bad YAML, an unknown key or a bad value.
     """
-    if isinstance(given, Recipe):
-        return given
+    if isinstance(wanted, Recipe):
+        return wanted
     check_category(category)
     names = [f"{category}-{source}"] if _CATEGORY.fullmatch(source) else []  # else it is a path
     paths = [RECIPES / f"{name}.yaml" for name in (*names, category, "default")]
-    own = next((path for path in paths if path.is_file()), paths[-1])
+    path_of_category = next((path for path in paths if path.is_file()), paths[-1])
 
     def base_of(base: str) -> Path:
-        return own if base == "category" else find(base, learner=False)
+        return path_of_category if base == "category" else find(base, learner=False)
 
-    if isinstance(given, Mapping):
-        data = {"name": "own"} | resolved_mapping(given, base_of)
+    if isinstance(wanted, Mapping):
+        data = {"name": "own"} | resolved_mapping(wanted, base_of)
         return validated(Recipe, data, "the recipe that is given")
-    path = own if given is None else find(str(given), learner=False)
+    path = path_of_category if wanted is None else find(str(wanted), learner=False)
     return validated(Recipe, {"name": path.stem} | resolved(path, base_of), str(path))

@@ -195,8 +195,10 @@ class ArticulatedObject:
         part_of_moving = {joint.name: k + 1 for k, joint in enumerate(self.moving_joints)}
         part = np.zeros(len(self.links), np.int32)
         for joint in self.joints:
-            own = part_of_moving.get(joint.name)
-            part[index[joint.child]] = part[index[joint.parent]] if own is None else own
+            moving_part = part_of_moving.get(joint.name)
+            part[index[joint.child]] = (
+                part[index[joint.parent]] if moving_part is None else moving_part
+            )
         return part
 
     @property
@@ -296,8 +298,10 @@ class LabelledMesh:
 
     def part(self, part: int) -> "LabelledMesh":
         """Return the faces of one part, with the vertices they use."""
-        mine = self.part_of_face == part
-        return LabelledMesh(self.vertices, self.faces[mine], self.part_of_face[mine]).compact()
+        of_part = self.part_of_face == part
+        return LabelledMesh(
+            self.vertices, self.faces[of_part], self.part_of_face[of_part]
+        ).compact()
 
     def compact(self) -> "LabelledMesh":
         """Return the same faces without the vertices that none of them uses."""
@@ -315,8 +319,8 @@ class LabelledMesh:
         part_of_vertex = np.zeros(len(vertices), np.intp)
         part_of_vertex[self.faces] = self.part_of_face[:, None]
         for part, T in enumerate(T_part):
-            mine = part_of_vertex == part
-            vertices[mine] = apply(T, vertices[mine])
+            of_part = part_of_vertex == part
+            vertices[of_part] = apply(T, vertices[of_part])
         return LabelledMesh(vertices, self.faces, self.part_of_face)
 
 
@@ -370,7 +374,7 @@ class DepthMaps:
             is seen. It is neither a ray distance nor read anywhere else in the pixel. None where
             only the faces are kept.
         face: (K, H, W) int32: the face seen at the pixel's centre, -1 where nothing is; None from
-            backends that cannot tell.
+            backends without faces.
         views: the cameras.
     """
 

@@ -15,7 +15,7 @@ from articugen.core.arrays import Bytes, Floats
 
 SCHEMA_VERSION = 3
 """Of what is written. Readers take every version up to it: a later one only adds optional fields,
-and tells apart what an earlier one did not (docs/format.md says what)."""
+and distinguishes what an earlier one did not (docs/format.md says what)."""
 
 FORMAT = "articugen shard"  # the attribute `format` of every shard
 MAX_INSTANCES = 65_536

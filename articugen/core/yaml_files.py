@@ -64,8 +64,11 @@ def resolved_mapping(
     data: Mapping[str, Any], base_of: Callable[[str], Path], chain: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
     """Do as `resolved`, with a mapping that is no file's: a notebook's recipe."""
-    own, base = {key: value for key, value in data.items() if key != "extends"}, data.get("extends")
-    return own if base is None else _merged(resolved(base_of(str(base)), base_of, chain), own)
+    keys, base = (
+        {key: value for key, value in data.items() if key != "extends"},
+        data.get("extends"),
+    )
+    return keys if base is None else _merged(resolved(base_of(str(base)), base_of, chain), keys)
 
 
 def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
@@ -126,11 +129,11 @@ class _Loader(yaml.SafeLoader):
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        seen: set[str] = set()
+        known: set[str] = set()
         for key in keys:
-            if key.value in seen:
+            if key.value in known:
                 self._refuse(key, f"the key {key.value[:100]!r} is given twice; remove one")
-            seen.add(key.value)
+            known.add(key.value)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
         if len(node.value) > _MAX_DIGITS:

@@ -1,1 +1,1 @@
-"""Looking at what was made: tables in the terminal, pictures of the stored points."""
+"""Views of what was made: tables in the terminal, pictures of the stored points."""

@@ -117,14 +117,14 @@ def likeness(first: Path, second: Path) -> Likeness:
     return Likeness(a, b, between, (pairs[0], pairs[1]), (nearest[0], nearest[1]))
 
 
-def farthest(found: Likeness, *, count: int = 6) -> Picture:
+def farthest(alike: Likeness, *, count: int = 6) -> Picture:
     """Draw the objects of the second set that are farthest from the first, their nearest below."""
-    distance, nearest = found.between.min(axis=1), found.between.argmin(axis=1)
+    distance, nearest = alike.between.min(axis=1), alike.between.argmin(axis=1)
     far = np.argsort(-distance, kind="stable")[:count]
     rows = []
     for title, some, picked, colour in (
-        ("second set: farthest from the first", found.second, far, 1),
-        ("first set: nearest to the one above", found.first, nearest[far], 2),
+        ("second set: farthest from the first", alike.second, far, 1),
+        ("first set: nearest to the one above", alike.first, nearest[far], 2),
     ):
         drawn = portraits([some.chosen[k] for k in picked], states=1)
         captions = [
@@ -142,8 +142,8 @@ def _objects(path: Path) -> Objects:
     points: list[Floats] = []
     floors: list[float] = []
     measures: dict[str, list[float]] = {name: [] for name in MEASURES}
-    for each in chosen:
-        path, index = each.places[0]  # the canonical pose, where a set has that
+    for one in chosen:
+        path, index = one.places[0]  # the canonical pose, where a set has that
         with open_shard(path) as shard:
             instance = shard.instance(index)
         cloud = dequantize(instance.surface_points)
@@ -151,7 +151,7 @@ def _objects(path: Path) -> Objects:
         longest = float((high - low).max())
         cloud = (cloud - (low + high) / 2) / longest
         _measure(instance, cloud, (low + high) / 2, longest, measures)
-        rng = generator(0, each.object_id, "likeness")
+        rng = generator(0, one.object_id, "likeness")
         some, others = np.resize(rng.permutation(cloud, axis=0), (2, POINTS, 3)).astype(np.float64)
         points.append(some)
         floors.append(float(_distances(some[None], others[None])[0, 0]))
@@ -196,13 +196,13 @@ def _distances(first: Floats, second: Floats) -> Floats:
 def chamfer(cloud, others):  # pragma: no cover - compiled
     """Return (m,): half the mean distance of points from the nearest of the other cloud, and back.
 
-    Every pair of points is looked at, eight at a time: clouds are (3, k), others (m, 3, k). A tree
+    Every pair of points is examined, eight at a time: clouds are (3, k), others (m, 3, k). A tree
     takes longer for so few.
     """
-    found = np.zeros(len(others))
+    distances = np.zeros(len(others))
     for m in range(len(others)):
-        found[m] = (_one_way(cloud, others[m]) + _one_way(others[m], cloud)) / 2
-    return found
+        distances[m] = (_one_way(cloud, others[m]) + _one_way(others[m], cloud)) / 2
+    return distances
 
 
 @helper
@@ -221,21 +221,21 @@ def _one_way(cloud, other):  # pragma: no cover - compiled
     return total / count
 
 
-def rows(found: Likeness) -> Sequence[tuple[str, str, str]]:
+def rows(alike: Likeness) -> Sequence[tuple[str, str, str]]:
     """Name, first set, second set: the lines of a table."""
 
     def both(name: str, values: tuple[float, float]) -> tuple[str, str, str]:
         return name, f"{values[0]:.3f}", f"{values[1]:.3f}"
 
     lines = [
-        ("objects", str(len(found.first.chosen)), str(len(found.second.chosen))),
-        both("any two in a set", found.pairs),
-        both("an object, by other points", found.floor),
-        both("nearest in its own set", found.nearest),
-        ("nearest in the first", "", f"{found.reached:.3f}"),
+        ("objects", str(len(alike.first.chosen)), str(len(alike.second.chosen))),
+        both("any two in a set", alike.pairs),
+        both("an object, by other points", alike.floor),
+        both("nearest in its own set", alike.nearest),
+        ("nearest in the first", "", f"{alike.reached:.3f}"),
     ]
     for name in MEASURES:
-        first, second = found.first.measures[name], found.second.measures[name]
+        first, second = alike.first.measures[name], alike.second.measures[name]
         lines.append((name, _spread(first), _spread(second)))
     return lines
 

@@ -19,7 +19,7 @@ from articugen.core.schema import resolution_of
 from articugen.core.tables import DIM, quiet_table, size
 from articugen.store.shards import Shard, open_shard
 
-LOOKED_AT = 256  # points and grids of so many instances, spread evenly, stand for all of them
+LOOKED_AT = 256  # instances whose points and grids, spread evenly, stand for all of them
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 24
 
@@ -39,9 +39,9 @@ def shards_of(path: Path) -> list[Path]:
 def summary(shards: Sequence[Path]) -> RenderableType:
     """Summarise shards: fields with sizes, joints with states, parts; or CorruptShard."""
     some = -(-LOOKED_AT // len(shards))
-    seen = [_seen(path, some) for path in shards]
+    contents = [_seen(path, some) for path in shards]
     files = sum(path.stat().st_size for path in shards)
-    return Group(_heading(seen), _fields(seen, files), _joints(seen), _parts(seen))
+    return Group(_heading(contents), _fields(contents, files), _joints(contents), _parts(contents))
 
 
 _States = dict[tuple[int, JointKind], Floats]
@@ -92,9 +92,9 @@ def _seen(path: Path, some: int) -> _Seen:
         )
 
 
-def _heading(seen: Sequence[_Seen]) -> Text:
-    objects = frozenset[tuple[str, str]]().union(*(each.objects for each in seen))
-    instances, about = sum(each.instances for each in seen), seen[-1].about
+def _heading(shards: Sequence[_Seen]) -> Text:
+    objects = frozenset[tuple[str, str]]().union(*(shard.objects for shard in shards))
+    instances, about = sum(shard.instances for shard in shards), shards[-1].about
     per_split = Counter(split for split, _ in objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(per_split.items(), reverse=True))
     return Text.assemble(
@@ -104,13 +104,13 @@ def _heading(seen: Sequence[_Seen]) -> Text:
     )
 
 
-def _fields(seen: Sequence[_Seen], files: int) -> Table:
+def _fields(shards: Sequence[_Seen], files: int) -> Table:
     shapes: dict[str, set[tuple[int, ...]]] = {}
     stored = Counter[str]()
-    instances = sum(each.instances for each in seen)
-    for each in seen:
-        stored.update(each.stored)
-        for name, shape in each.shapes.items():
+    instances = sum(shard.instances for shard in shards)
+    for shard in shards:
+        stored.update(shard.stored)
+        for name, shape in shard.shapes.items():
             shapes.setdefault(name, set()).add(shape)
     table = quiet_table("data set", "dtype", "shape", "unit", ">on disk", ">each")
     for field in schema.FIELDS:
@@ -123,10 +123,10 @@ def _fields(seen: Sequence[_Seen], files: int) -> Table:
     return table
 
 
-def _joints(seen: Sequence[_Seen]) -> Table:
+def _joints(shards: Sequence[_Seen]) -> Table:
     states: dict[tuple[int, JointKind], list[Floats]] = {}
-    for each in seen:
-        for joint, values in each.states.items():
+    for shard in shards:
+        for joint, values in shard.states.items():
             states.setdefault(joint, []).append(values)
     table = quiet_table(
         ">joint", "kind", ">instances", ">range sampled from", "states, low to high"
@@ -161,12 +161,12 @@ def _counts_of(shard: Shard, some: int) -> dict[str, Ints]:
     return counts
 
 
-def _parts(seen: Sequence[_Seen]) -> Table:
+def _parts(shards: Sequence[_Seen]) -> Table:
     """Tabulate each part's share of the points and of the finest grid; enclosed space apart."""
     counts: dict[str, Ints] = {}
-    for each in seen:
-        for name, own in each.counts.items():
-            counts[name] = counts.get(name, 0) + own
+    for shard in shards:
+        for name, by_part in shard.counts.items():
+            counts[name] = counts.get(name, 0) + by_part
     shares = {}
     for name, total in counts.items():  # of points in each part; label k + 1 is part k
         parts = (total / max(int(total.sum()), 1))[0 if name.endswith("_part") else 1 :]

@@ -38,8 +38,8 @@ def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
 
 
 def _resolved(obj: ArticulatedObject, settings: CategorySettings, recipe: Recipe) -> ResolvedObject:
-    own = {"canonical": settings.canonical, "movable": settings.movable}
-    return articulation.resolve(obj, recipe.articulation, **own)
+    choice = {"canonical": settings.canonical, "movable": settings.movable}
+    return articulation.resolve(obj, recipe.articulation, **choice)
 
 
 def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject, CategorySettings]:
@@ -91,9 +91,9 @@ def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, 
 
 def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
     """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance."""
-    for part, own in enumerate(prepared.own):
-        alone = PosedSolids((own,), np.eye(4)[None], prepared.recipe.fusion)
+    for part, solid in enumerate(prepared.own):
+        alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
         try:
-            yield extract_mesh(alone, resolution, box=own.box)
+            yield extract_mesh(alone, resolution, box=solid.box)
         except RejectedInstance as error:
             raise RejectedInstance(f"part {part}: {error}") from None

@@ -280,17 +280,17 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
 def _driver(by_name: Mapping[str, Joint], joint: Joint) -> tuple[str, float, float]:
     """Return (name, multiplier, offset) of the joint that drives `joint` at the end of all
     mimics."""
-    multiplier, offset, seen = 1.0, 0.0, {joint.name: None}
+    multiplier, offset, passed = 1.0, 0.0, {joint.name: None}
     while joint.mimic is not None and joint.kind != JointKind.FIXED:
         mimic = joint.mimic
-        if mimic.joint in seen or mimic.joint not in by_name:
+        if mimic.joint in passed or mimic.joint not in by_name:
             raise RejectedInstance(
-                f"the mimic joints {' -> '.join([*seen, mimic.joint])} end at no joint that moves "
-                "by itself; mend the <mimic> elements of its URDF"
+                f"the mimic joints {' -> '.join([*passed, mimic.joint])} end at no joint that "
+                "moves by itself; mend the <mimic> elements of its URDF"
             )
         multiplier, offset = multiplier * mimic.multiplier, multiplier * mimic.offset + offset
         joint = by_name[mimic.joint]
-        seen[joint.name] = None
+        passed[joint.name] = None
     return joint.name, multiplier, offset
 
 
@@ -365,8 +365,8 @@ def _nothing_moves(obj: ArticulatedObject, patterns: tuple[str, ...]) -> str:
 
     def names(joints: list[Joint]) -> str:
         index = obj.link_index
-        found = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
-        return ", ".join(found[:12] + ["..."] * (len(found) > 12))
+        texts = [f"{j.name} ({obj.links[index[j.child]].semantic or 'no name'})" for j in joints]
+        return ", ".join(texts[:12] + ["..."] * (len(texts) > 12))
 
     picked = [j for j in jointed if not patterns or _pattern_of(obj, j, patterns) < len(patterns)]
     if picked:

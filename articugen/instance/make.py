@@ -71,8 +71,8 @@ def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> B
     material = fields.material
     for part in reversed(range(1, len(material.own))):  # where they overlap the first one counts
         corners = apply(material.part_motion[part], box_corners(material.own[part].box))
-        held = material.holds(part, grid.points, grid.within(bounds(corners)))
-        label[held] = part + 1
+        inside = material.holds(part, grid.points, grid.within(bounds(corners)))
+        label[inside] = part + 1
     label = fields.with_enclosed(grid.points, label)
     return label.reshape(resolution, resolution, resolution)
 
@@ -168,14 +168,14 @@ def _query_fields(
     stored = {"uniform": quantize(uniform), "near": quantize(near)}
     points = {f"{name}_points": points for name, points in stored.items()}
     labels = {f"{n}_label": fields.labels(dequantize(points)) for n, points in stored.items()}
-    found = points | labels
+    together = points | labels
     if p.extras.visible is not None:
         for n, points in stored.items():
             far = fusion.distances(
                 dequantize(points), p.extras.visible, fields.part_motion, wanted.signed_distance
             )
-            found[f"{n}_distance"] = np.where(labels[f"{n}_label"] == FREE, far, -far)
-    return found
+            together[f"{n}_distance"] = np.where(labels[f"{n}_label"] == FREE, far, -far)
+    return together
 
 
 def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[str, NDArray]:

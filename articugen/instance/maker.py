@@ -1,4 +1,4 @@
-"""A model at any joint state of one's own: `load` it, `Maker` it, ask what is inside.
+"""A model at any joint state: `load` it, `Maker` it, ask what is inside.
 
 `Maker` is `instance.py` for people: what it makes of a recipe's own states is, to the byte, what
 `generate` writes for them, and what it makes of any other state lies in the same unit frame.
@@ -40,7 +40,7 @@ from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
 from articugen.store.rows import Row, RowJoint
 
-ANY_CATEGORY = "object"  # of a model that does not tell what it is
+ANY_CATEGORY = "object"  # of a model that does not state what it is
 MOST_VOXELS = 1024
 """Along an edge of what a mesh is made from: the field of more takes 8 GiB and up."""
 
@@ -92,7 +92,7 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
     Args:
         source: a URDF file, the folder of a model, a folder of models, or a source's name.
         object_id: which of them, where there are several.
-        category: what it is, where it does not tell. It chooses the recipe, and decides random
+        category: what it is, where it does not say so. It chooses the recipe, and decides random
             numbers: to come to the data of a `generate`, name the same.
 
     Raises:
@@ -104,8 +104,8 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
             f"{source}: holds {1 + len(others)} models; name one, as in "
             f"load({str(source)!r}, {ref.object_id!r})"
         )
-    own, clips = ref.settings, open_source(str(source)).clips
-    return Model(readers.load(ref), own.canonical, own.movable, clips)
+    settings, clips = ref.settings, open_source(str(source)).clips
+    return Model(readers.load(ref), settings.canonical, settings.movable, clips)
 
 
 def models(
@@ -132,8 +132,8 @@ def models(
         categories = (ANY_CATEGORY,)
     return tuple(
         ref
-        for name, (own, out_of) in opened.share_out(categories, ids, ()).items()
-        for ref in opened.objects(name, ids=own, exclude=out_of)
+        for name, (taken, out_of) in opened.share_out(categories, ids, ()).items()
+        for ref in opened.objects(name, ids=taken, exclude=out_of)
     )
 
 
@@ -156,7 +156,8 @@ class Made(Row):
     """An instance that can be asked about any point: a `Row` with its field.
 
     Its samples (`surface`, `uniform`, `grids` and so on) are made when the first is asked for. At a
-    state of one's own, its `state_index` is the number of the recipe's states: no index of them.
+    state that is not the recipe's, its `state_index` is the number of the recipe's states: no index
+    of them.
     """
 
     def __init__(self, prepared: Prepared, index: int) -> None:
@@ -368,8 +369,8 @@ class Maker(Sequence[Made]):
         """Its random points are those of no state of the recipe's; the same for the same state."""
         p = self._prepared_for(state)
         q = state.q.astype("<f8").tobytes().hex()
-        own = generator(self.seed, self.obj.category, self.obj.object_id, "at", q)
-        seed = int(own.integers(2**62))
+        rng = generator(self.seed, self.obj.category, self.obj.object_id, "at", q)
+        seed = int(rng.integers(2**62))
         return Made(replace(p, states=(*p.states, state), seed=seed), len(p.states))
 
     def _prepared_for(self, state: JointState) -> Prepared:

@@ -85,7 +85,7 @@ class Prepared:
         closed: (F,) whether a face belongs to a closed solid, whose inner side nobody sees.
         static: the depth maps of part 0 alone, which every instance shares.
         overlay: what the moving parts of one instance after the other are drawn over part 0 in;
-            None where the backend has none, or the posed object is not looked at.
+            None where the backend has none, or the posed object is not examined.
         own: each part alone, part 0 first.
         grids: by resolution.
         extras: what the recipe asks for besides.
@@ -200,8 +200,8 @@ def _prepared(
     backend = backend_named(recipe.views.backend)
     static = backend.render(parts[0].mesh, views)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
-    own = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
-    seen = np.concatenate([part.seen for part in parts])
+    solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
+    is_seen = np.concatenate([part.seen for part in parts])
     bvh = fusion.joined_bvh(parts)
     rng = partial(generator, seed, obj.category, obj.object_id)
     swept = swept_box(mesh, motions[: len(states)])  # the same for any reach
@@ -213,15 +213,15 @@ def _prepared(
         canonical=canonical,
         unit=unit,
         mesh=mesh,
-        seen=seen,
+        seen=is_seen,
         bvh=bvh,
         views=views,
         closed=np.concatenate([part.closed for part in parts]),
         static=static,
         overlay=None if recipe.fusion.rule == "rigid" else backend.overlay_on(static),
-        own=own,
-        grids={r: Grid.of(r, own[0], recipe) for r in recipe.sampling.grids},
-        extras=_extras(mesh, seen, bvh, swept, recipe, rng),
+        own=solids,
+        grids={r: Grid.of(r, solids[0], recipe) for r in recipe.sampling.grids},
+        extras=_extras(mesh, is_seen, bvh, swept, recipe, rng),
     )
 
 
@@ -316,7 +316,7 @@ def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
 
 def _extras(
     mesh: LabelledMesh,
-    seen: Bools,
+    is_seen: Bools,
     bvh: fusion.Bvh,
     swept: Floats,
     recipe: Recipe,
@@ -327,8 +327,8 @@ def _extras(
     sampling, images = recipe.sampling, recipe.images
     visible = edges = colliding = cameras = None
     if sampling.signed_distance:
-        corners = mesh.vertices[mesh.faces[seen]]
-        visible = fusion.build(corners, mesh.part_of_face[seen], len(bvh.roots) - 1)
+        corners = mesh.vertices[mesh.faces[is_seen]]
+        visible = fusion.build(corners, mesh.part_of_face[is_seen], len(bvh.roots) - 1)
     if sampling.sharp_points:
         edges = sharp_edges(mesh, sampling.sharp_degrees)
     if recipe.articulation.collision != "ignore":

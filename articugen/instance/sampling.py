@@ -23,7 +23,7 @@ SURFACE_OFFSET = 1e-4
 
 SURFACE_ROUNDS = 40
 
-SUB_CELLS = 64  # so many sub-cells along the cube's edge, at least, have a sample where faces are
+SUB_CELLS = 64  # the least sub-cells along the cube's edge that have a sample where faces are
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def near_points(
 
 
 def surface_points(
-    mesh: LabelledMesh, seen: Bools, is_free: IsFree, count: int, *, rng: np.random.Generator
+    mesh: LabelledMesh, is_seen: Bools, is_free: IsFree, count: int, *, rng: np.random.Generator
 ) -> SurfacePoints:
     """`count` points uniform by area over the visible surface.
 
@@ -88,7 +88,7 @@ def surface_points(
 
     Args:
         mesh: posed, faces outwards.
-        seen: (F,) faces that can be seen at all; the others are left out.
+        is_seen: (F,) faces that can be seen at all; the others are left out.
 
     Raises:
         RejectedInstance: next to nothing of the surface is visible.
@@ -96,7 +96,7 @@ def surface_points(
     corners = mesh.vertices[mesh.faces]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(across, axis=1)
-    weights = np.where(seen, doubled, 0.0)
+    weights = np.where(is_seen, doubled, 0.0)
     if not weights.any():
         raise RejectedInstance("no face of the object can be seen; is its mesh empty?")
     normals = across / np.maximum(doubled, 1e-30)[:, None]

@@ -39,9 +39,9 @@ class SharpEdges:
         """With each part moved by its own motion (P, 4, 4)."""
         ends, normals = self.ends.copy(), self.normals.copy()
         for part, T in enumerate(part_motion):
-            mine = self.part == part
-            ends[mine] = apply(T, ends[mine])
-            normals[mine] = turned(T[:3, :3], normals[mine])
+            of_part = self.part == part
+            ends[of_part] = apply(T, ends[of_part])
+            normals[of_part] = turned(T[:3, :3], normals[of_part])
         return SharpEdges(ends, normals, self.part)
 
 
@@ -49,8 +49,8 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     """Return the edges at which two faces of one part turn by `degrees` or more.
 
     Vertices in one place are one vertex: soups have an own corner for each face. Of more than two
-    faces at an edge those two count that look at each other across the space before them, as one
-    goes around the edge, and of several such pairs the one that turns most; what lies in the solid
+    faces at an edge those two count that face each other across the space before them, as one
+    goes around the edge, and of several such pairs the one that turns most; what is in the solid
     or between touching solids does not. An edge of one face alone is none.
     """
     corners = mesh.vertices[mesh.faces]
@@ -71,13 +71,13 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     apex = faces[face].sum(axis=1) - sides.sum(axis=1)
     pairs = _facing(edge, normals[face], place[sides], place[apex])
     best, pair = _widest(edge, normals[face], pairs)
-    found = np.flatnonzero(best <= cos(np.radians(degrees)) + 1e-9)
-    one, other = face[pair[found, 0]], face[pair[found, 1]]
+    edges = np.flatnonzero(best <= cos(np.radians(degrees)) + 1e-9)
+    one, other = face[pair[edges, 0]], face[pair[edges, 1]]
     middle = normals[one] + normals[other]
     size = norm(middle)
     folded = size < 1e-6  # back to back: the rim of a plate without thickness
     middle = np.where(folded[:, None], normals[one], middle / np.maximum(size, 1e-6)[:, None])
-    return SharpEdges(place[sides[pair[found, 0]]], middle, part[one])
+    return SharpEdges(place[sides[pair[edges, 0]]], middle, part[one])
 
 
 def _facing(edge: Indices, normals: Floats, ends: Floats, apex: Floats) -> Indices:
@@ -141,9 +141,9 @@ def sharp_points(
         draw = 2 * (count - have) + 64
         edge, share = pick_by_weight(length, rng.random(draw)), rng.random((draw, 1))
         points = edges.ends[edge, 0] * (1.0 - share) + edges.ends[edge, 1] * share
-        seen = is_free(points + OFFSET * edges.normals[edge], edges.part[edge])
-        kept.append((points[seen], edge[seen]))
-        have += int(seen.sum())
+        is_seen = is_free(points + OFFSET * edges.normals[edge], edges.part[edge])
+        kept.append((points[is_seen], edge[is_seen]))
+        have += int(is_seen.sum())
         if have >= count:
             break
     if have == 0:

@@ -13,7 +13,7 @@ from articugen.core.jit import kernel
 from articugen.core.records import LabelledMesh
 
 _CELLS = 24  # along an edge of the points' box
-_ROUNDING = 1e-12  # of a bound, relative to the largest number in it: what lies as near is examined
+_ROUNDING = 1e-12  # of a bound, relative to the largest number in it: points as near are examined
 
 
 def swept_box(mesh: LabelledMesh, motions: Floats) -> Floats:

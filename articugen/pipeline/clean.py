@@ -23,7 +23,7 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
 
     That is temporary files, shards that were written but not recorded, pages that a manifest does
     not list, and a ledger beside a whole manifest. What is recorded as finished stays, and so does
-    the ledger of a run that can go on, and whatever is not what its name tells. No link is
+    the ledger of a run that can go on, and whatever is not what its name says. No link is
     followed or removed.
 
     Args:
@@ -35,14 +35,14 @@ def clean(path: Path, *, dry_run: bool = False) -> list[Leftover]:
         ArticugenError: a run is at work there.
         MachineFault: something cannot be read or removed.
     """
-    found: list[Leftover] = []
+    rest: list[Leftover] = []
     for folder in data_sets(path, follow=False):
         with Records(Folder(folder)) as records:
             leftovers = records.leftovers()
-            found += [
+            rest += [
                 Leftover(folder / name, why, os.lstat(folder / name).st_size)
                 for name, why in leftovers.items()
             ]
             if not dry_run:
                 records.place.delete(leftovers)
-    return found
+    return rest

@@ -76,7 +76,7 @@ def check_is_not_of_before(folder: Path) -> None:
     if names:
         raise ArticugenError(
             f"{folder}: a run of an earlier version of articugen was cut short here; finish it "
-            f"with that version, or delete {names[0]} and the shards beside it to start afresh"
+            f"with that version, or delete {names[0]} and the shards beside it to start again"
         )
 
 
@@ -113,7 +113,7 @@ def _is_data_set(folder: Path) -> bool:
 
 
 def is_unfinished(name: str) -> bool:
-    """Return whether what is called so tells of a run that is at work or was cut short."""
+    """Return whether what is called so is of a run that is at work or was cut short."""
     return name == LEDGER or _EARLIER.fullmatch(name) is not None
 
 

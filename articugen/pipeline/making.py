@@ -116,9 +116,9 @@ def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | 
     """Return what `error` says of the object, None where it is a fault of our code; raise it where
     it ends the run or has the object tried again."""
     fault = machine_fault(error)
-    asked = getattr(fault, "_total_size", 0) / 1e6  # of numpy's own MemoryError
-    if asked > recipe.memory_per_object_mb:
-        takes = f"asks for {asked:,.0f} MB of memory at once"
+    wanted = getattr(fault, "_total_size", 0) / 1e6  # of numpy's own MemoryError
+    if wanted > recipe.memory_per_object_mb:
+        takes = f"asks for {wanted:,.0f} MB of memory at once"
         return _OverLimit(takes, "memory_per_object_mb", recipe.memory_per_object_mb)
     if fault is not None:
         raise fault

@@ -44,7 +44,7 @@ def merge(
     with Records(Folder(folder), sizes_only=sizes_only) as records:
         if records.agreed is None:
             manifest = _check_merged(records, folder)
-            on_notice("nothing to merge: the manifest tells of all that was made")
+            on_notice("nothing to merge: the manifest lists all that was made")
             return manifest
         job = _job_of(records.agreed, folder, jobs or default_jobs())
         refs = objects_of(job, open_source(job.source))

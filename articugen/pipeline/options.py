@@ -91,7 +91,7 @@ class Options:
     _: KW_ONLY
     changes: Sequence[str] = CHANGES
     objects: int | None = option(
-        None, "So many objects, in the splits' ratio.", "-n", min=1, show_default="all"
+        None, "How many objects, in the splits' ratio.", "-n", min=1, show_default="all"
     )
     ids: Sequence[str] = option((), "These objects alone: 10040,10101.", show_default="all")
     exclude: Sequence[str] = option((), "But not these.", show_default="none")
@@ -126,7 +126,7 @@ class Options:
     )
     max_rejected: float | None = option(
         None,
-        "Of the objects, so many may be rejected before the run counts as failed.",
+        "How many objects may be rejected before the run counts as failed.",
         min=0.0,
         max=1.0,
         metavar="FRACTION",

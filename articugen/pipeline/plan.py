@@ -42,7 +42,7 @@ _SHRUNK_BY: dict[str | int, int] = {"R": 25, "H": 20}
 """What gzip makes of the grids and images of a drawer's cabinet, by a letter of their shapes."""
 
 _HOPELESS = 4
-"""A run that is estimated to need so many times what is free is not begun."""
+"""A run that is estimated to need this many times what is free is not begun."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,13 @@ class Plan:
             need -= sum(shard.stat().st_size for shard in shards if shard.is_file())
             if need <= free:
                 return
-            said = (
+            sentence = (
                 f"{out}: this takes about {megabytes(need)} on the disk, {megabytes(free)} are "
                 "free; free some space, choose another folder, or ask for fewer objects or states"
             )
             if need > _HOPELESS * free:
-                raise MachineFault(said)
-            on_notice(said)
+                raise MachineFault(sentence)
+            on_notice(sentence)
 
 
 def objects_of(job: Job, source: Source) -> tuple[ObjectRef, ...]:
@@ -93,7 +93,7 @@ def objects_of(job: Job, source: Source) -> tuple[ObjectRef, ...]:
 
     Raises:
         InvalidSource: unknown source, category or object.
-        InvalidRecipe: they are more than a manifest can tell of.
+        InvalidRecipe: they are more than a manifest can list.
     """
     crew = processes.Crew(
         partial(_is_of_category, job.recipe),
@@ -253,9 +253,9 @@ def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[Objec
     expected = sum(object_seconds(recipe, entry.instances) for entry in done)
     taken = sum(entry.seconds for entry in done)
     pace = taken / expected if taken > 0 and expected > 0 else 1.0
-    each = object_seconds(recipe, recipe.articulation.states + 1) * pace
+    seconds = object_seconds(recipe, recipe.articulation.states + 1) * pace
     rounds = objects / max(1, min(workers, objects))
-    return STARTUP + each * rounds
+    return STARTUP + seconds * rounds
 
 
 def object_seconds(recipe: Recipe, instances: int) -> float:

@@ -1,4 +1,4 @@
-"""What a place holds of a data set: how a run goes on where an earlier one stopped, and what it may
+"""What a place holds of a data set: how a run resumes where an earlier one stopped, and what it may
 replace.
 
 While a run is under way the ledger (`.articugen/`) has a record of each finished object, written
@@ -316,20 +316,20 @@ class Records:
 
     def _leftovers(self, whole: Manifest | None) -> dict[str, str]:
         """Return the leftovers; `whole` is a manifest of all that is recorded."""
-        found = dict.fromkeys(self._temporary(), "a temporary file")
+        left = dict.fromkeys(self._temporary(), "a temporary file")
         named = {shard.name for shard in whole.shards} if whole else set[str]()
         orphans = [name for name in self._unrecorded() if name not in named]
         if whole and self._folder:
             names = sorted(self._recorded - named)
             orphans += [name for name in names if is_shard_of_ours(self._folder, name)]
-        found |= dict.fromkeys(orphans, "a shard that is not recorded")
-        if self.manifest and self._folder:  # without one, pages are all that tells of the shards
+        left |= dict.fromkeys(orphans, "a shard that is not recorded")
+        if self.manifest and self._folder:  # without one, pages are all that lists the shards
             stale = stale_pages(self._folder / MANIFEST_NAME)
-            found |= dict.fromkeys(stale, "a page that no manifest lists")
+            left |= dict.fromkeys(stale, "a page that no manifest lists")
         if whole:
-            files = [name for name in self.ledger.files() if name not in found]
-            found |= dict.fromkeys(files, "the manifest says it all")
-        return found
+            files = [name for name in self.ledger.files() if name not in left]
+            left |= dict.fromkeys(files, "the manifest says it all")
+        return left
 
     def _tells_all(self) -> bool:
         """Return whether the manifest has all that shares have recorded; if not, merge them."""
@@ -424,7 +424,7 @@ class Records:
                     self.outcomes[outcome.key.name] = outcome
 
     def _is_trusted(self, outcome: Outcome) -> bool:
-        """Return whether its shard, if any, is whole: looked at once."""
+        """Return whether its shard, if any, is whole: checked once."""
         if outcome.shard is None:
             return True
         shard, trusted = self._trusted.get(outcome.shard.name, (None, False))

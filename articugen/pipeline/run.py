@@ -37,7 +37,7 @@ from articugen.store.outcome import Outcome
 _KEPT = "finished objects are kept, the same command goes on after them"
 
 POLL_SECONDS = 5.0
-"""Between two looks at what others are making."""
+"""Seconds between two looks for what others have made."""
 MARGIN_SECONDS = 60.0
 """That a claim outlasts the recipe's limit: for copying, and where a worker is tried twice."""
 
@@ -102,7 +102,7 @@ class Run:
         on_object: OnObject = ignore,
         on_notice: OnNotice = ignore,
     ) -> Finished:
-        """Make the data set, or what is missing of it, and write its manifest, which tells of a
+        """Make the data set, or what is missing of it, and write its manifest, which lists a
         `shortfall`, if any; of a share, make what is missing.
 
         Args:
@@ -183,7 +183,7 @@ class Run:
         return outcomes, instances
 
     def _still_needed(self, objects: int) -> str:
-        """Return what so many objects take on the disk, where that is more than is free."""
+        """Return what `objects` objects take on the disk, where that is more than is free."""
         need = objects * self.plan.bytes / max(len(self.plan.tasks), 1)
         with suppress(OSError):
             if need > (free := room_at(self.job.folder)):
@@ -284,13 +284,13 @@ def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan
 
 
 def report_of(outcome: Outcome, *, reused: bool) -> ObjectReport:
-    made, key = outcome.made, outcome.key
+    entry, key = outcome.made, outcome.key
     return ObjectReport(
         object_id=key.object_id,
         split=key.split,
-        shard=made.shard if made else "",
-        instances=made.instances if made else 0,
-        seconds=made.seconds if made else 0.0,
+        shard=entry.shard if entry else "",
+        instances=entry.instances if entry else 0,
+        seconds=entry.seconds if entry else 0.0,
         rejected=outcome.rejected.reason if outcome.rejected else None,
         reused=reused,
         skipped=outcome.skipped.reason if outcome.skipped else None,
@@ -300,7 +300,7 @@ def report_of(outcome: Outcome, *, reused: bool) -> ObjectReport:
 
 def _shortfall(outcomes: Sequence[Outcome], recipe: Recipe) -> str | None:
     """Return one sentence on why the set is not what its recipe asks for, or None."""
-    made, rejected, skipped, failed = (
+    entries, rejected, skipped, failed = (
         sum(getattr(outcome, kind) is not None for outcome in outcomes)
         for kind in ("made", "rejected", "skipped", "failed")
     )
@@ -315,7 +315,7 @@ def _shortfall(outcomes: Sequence[Outcome], recipe: Recipe) -> str | None:
             f"{rejected} of {wanted} objects were rejected, more than the recipe's "
             f"max_rejected_fraction of {recipe.max_rejected_fraction:g} (--max-rejected) allows"
         )
-    if not sentences and not made:
+    if not sentences and not entries:
         sentences.append(f"no object is left: {skipped} skipped, {rejected} rejected")
     return "; ".join(sentences) or None
 

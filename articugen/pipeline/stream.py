@@ -153,7 +153,7 @@ class Stream(Iterator[Row]):
         return {"position": self.position, "of": f"{what}, seed {job.seed}, share {job.share}"}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where such a stream was; InvalidArgument where that makes something else."""
+        """Continue where such a stream was; InvalidArgument where that makes something else."""
         here = self.state_dict()["of"]
         if state.get("of") != here:
             raise InvalidArgument(f"the state is of {state.get('of')}, not of {here}; open that")

@@ -23,12 +23,12 @@ def visible(base: Path) -> list[Path]:
 def ending_in(folder: Path, suffix: str) -> list[Path]:
     """Return the paths in a folder that end in `suffix`, such as .urdf, in letters of either case;
     the shortest name first."""
-    found = (path for path in folder.glob("*") if path.suffix.lower() == suffix)
-    return sorted(found, key=lambda path: (len(path.name), path.name))
+    paths = (path for path in folder.glob("*") if path.suffix.lower() == suffix)
+    return sorted(paths, key=lambda path: (len(path.name), path.name))
 
 
 def has_urdf(folder: Path) -> bool:
-    """Return whether a URDF is in a folder: what lies beside it is its mesh or copy."""
+    """Return whether a URDF is in a folder: files beside it are its mesh or copy."""
     return any(path.suffix.lower() == ".urdf" for path in visible(folder))
 
 

@@ -14,31 +14,31 @@ from articugen.sources.source_file import SourceFile, plain, unknown
 
 
 def sorted_models(reader: str, base: Path) -> list[Found]:
-    """Return a source's objects: in `base/<category>`, and those in `base` that tell theirs."""
-    found = [f for f in readers.find(reader, base) if f.category]
-    own = {f.location for f in found}
+    """Return a source's objects: in `base/<category>`, and those in `base` that state theirs."""
+    models = [f for f in readers.find(reader, base) if f.category]
+    places = {f.location for f in models}
     for folder in visible(base):
-        if isdir(folder) and folder not in own:
-            found += [replace(f, folder=folder.name) for f in readers.find(reader, folder)]
-    return found
+        if isdir(folder) and folder not in places:
+            models += [replace(f, folder=folder.name) for f in readers.find(reader, folder)]
+    return models
 
 
 def of_category(models: Collection[Found], file: SourceFile, name: str) -> list[Found]:
     """Return the models in a folder of just that name, if there is one; else those whose folder or
     meta.json is called like the category."""
     exact = {plain(name), plain(file.own_name(name) or name)}
-    own = [f for f in models if f.kinds and plain(f.kinds[0]) in exact]
+    exact_ones = [f for f in models if f.kinds and plain(f.kinds[0]) in exact]
     wanted = file.words(name)
-    return own or [f for f in models if wanted & set(map(plain, f.kinds))]
+    return exact_ones or [f for f in models if wanted & set(map(plain, f.kinds))]
 
 
 def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
     """Return the models of a category in a folder that no source.yaml describes, or the one in a
-    file; any name will do for those that do not tell theirs. `file` says what categories are
+    file; any name will do for those that do not state theirs. `file` says what categories are
     called.
 
     Raises:
-        InvalidSource: there is none; models that tell their category, all another.
+        InvalidSource: there is none; models that state their category, all another.
     """
     single = readers.detect(path)
     if single:
@@ -73,8 +73,8 @@ def mixed_models(base: Path, file: SourceFile) -> Iterator[Found]:
     holds two or more.
     """
     for child in visible(base):
-        own = readers.detect(child)
-        if own is None and isdir(child):
+        model = readers.detect(child)
+        if model is None and isdir(child):
             inside = any_models(child)
             known = any(f.reader != _PLAIN for f in inside)
             if known or (len(inside) > 1 and file.own_name(child.name) is not None):
@@ -83,7 +83,7 @@ def mixed_models(base: Path, file: SourceFile) -> Iterator[Found]:
                     named = 1 if f.reader == _PLAIN else len(below) - 1 - f.category_above
                     yield replace(f, folder=below[max(named, 0)])
                 continue
-        yield from _models_at(child, own)
+        yield from _models_at(child, model)
 
 
 def any_models(base: Path) -> list[Found]:
@@ -94,27 +94,27 @@ def any_models(base: Path) -> list[Found]:
 def called(object_id: str, base: Path, reader: str) -> list[Found]:
     """Return the models in `base` whose file or folder has the name `object_id`, and they that id,
     by the source's `reader`, "" where no source.yaml names one; others are not examined. None where
-    only a listing can tell: an id with a dot may be the path of one of two that share a name, and
+    only a listing can say: an id with a dot may be the path of one of two that share a name, and
     another package's reader may name models as it likes."""
     if not object_id or object_id != Path(object_id).name or "." in object_id:
         return []
     there = base / object_id
     children = [there] if isdir(there) else [c for c in visible(base) if c.stem == object_id]
-    found: list[Found] = []
+    models: list[Found] = []
     for child in children:
         if reader:
-            found += readers.find_at(reader, child)
+            models += readers.find_at(reader, child)
         else:
-            found += _models_at(child, readers.detect(child))
-    return [f for f in found if f.object_id == object_id]
+            models += _models_at(child, readers.detect(child))
+    return [f for f in models if f.object_id == object_id]
 
 
-def distinct(found: Sequence[Found], base: Path) -> list[Found]:
+def distinct(models: Sequence[Found], base: Path) -> list[Found]:
     """Return the same objects; those that share a name are called by their whole path below `base`,
     with a ~ for each time that this, too, is taken."""
-    count = Counter(f.object_id for f in found)
-    renamed = [f for f in found if count[f.object_id] > 1]
-    taken = {f.object_id for f in found if count[f.object_id] == 1}
+    count = Counter(f.object_id for f in models)
+    renamed = [f for f in models if count[f.object_id] > 1]
+    taken = {f.object_id for f in models if count[f.object_id] == 1}
     names: dict[Path, str] = {}
     for f in sorted(renamed, key=lambda f: f.location):
         name = ".".join(f.location.relative_to(base).parts)
@@ -122,7 +122,7 @@ def distinct(found: Sequence[Found], base: Path) -> list[Found]:
             name += "~"
         taken.add(name)
         names[f.location] = name
-    return [replace(f, object_id=names.get(f.location, f.object_id)) for f in found]
+    return [replace(f, object_id=names.get(f.location, f.object_id)) for f in models]
 
 
 _PLAIN = "urdf"  # the layout of what no reader knows: URDFs, wherever in a model's folder they are
@@ -131,11 +131,11 @@ _PLAIN = "urdf"  # the layout of what no reader knows: URDFs, wherever in a mode
 _DEEP = 3  # how many folders down data sets keep their models: data/<source>/<category>/<id>
 
 
-def _models_at(child: Path, own: Found | None) -> list[Found]:
+def _models_at(child: Path, model: Found | None) -> list[Found]:
     """Return the model that a file or folder is, known already; those of layouts that we know
     somewhere in it; or the URDFs somewhere in it."""
-    if own is not None:
-        return [own]
+    if model is not None:
+        return [model]
     below = list(_models_below(child, _DEEP))
     if any(f.reader != _PLAIN for f in below):
         return below
@@ -144,8 +144,8 @@ def _models_at(child: Path, own: Found | None) -> list[Found]:
 
 def _models_below(folder: Path, deep: int) -> Iterator[Found]:
     for child in visible(folder):
-        own = readers.detect(child)
-        if own is not None:
-            yield own
+        model = readers.detect(child)
+        if model is not None:
+            yield model
         elif deep > 1 and isdir(child):
             yield from _models_below(child, deep - 1)

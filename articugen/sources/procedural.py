@@ -25,8 +25,8 @@ def object_id(category: str, index: int) -> str:
 def index_of(category: str, object_id: str) -> int | None:
     """Return the number of the object of that id, for the first ten thousand; None where it is no
     id."""
-    found = re.fullmatch(rf"{re.escape(category)}_([0-9]{{4}})", object_id)
-    return int(found[1]) if found else None
+    match = re.fullmatch(rf"{re.escape(category)}_([0-9]{{4}})", object_id)
+    return int(match[1]) if match else None
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

@@ -44,7 +44,7 @@ class Reader(Protocol):
 
     def detect(self, path: Path) -> Found | None:
         """Return the model that a file or folder is, as it is named in a folder of others; None
-        where it is none of this layout. Asked of everything in a folder: a look at a few names must
+        where it is none of this layout. Asked of everything in a folder: a few names must
         do."""
         ...
 
@@ -165,10 +165,10 @@ def load(ref: ObjectRef) -> ArticulatedObject:
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
     obj = reader(ref.reader).load(ref, ref.settings) if ref.is_made else _read(ref)
-    said = ref.settings.said()
-    if said == CategorySettings().said():
+    settings = ref.settings.said()
+    if settings == CategorySettings().said():
         return obj
-    digest = hashlib.sha256(f"{obj.sha256} {said}".encode()).hexdigest()
+    digest = hashlib.sha256(f"{obj.sha256} {settings}".encode()).hexdigest()
     return replace(obj, sha256=digest)
 
 
@@ -189,9 +189,9 @@ def _read(ref: ObjectRef) -> ArticulatedObject:
         )
     if len(ref.object_id.encode()) > MAX_NAME_BYTES:
         raise InvalidSource(f"{where}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
-    own = reader(ref.reader)
+    reader_of = reader(ref.reader)
     try:
-        obj = own.load(ref, ref.settings)
+        obj = reader_of.load(ref, ref.settings)
     except (ArticugenError, MemoryError):
         raise
     except Exception as error:

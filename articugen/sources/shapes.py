@@ -45,15 +45,15 @@ class Shapes:
 
     def file(self, name: str, by: str) -> Mesh:
         """Read the mesh that a model calls `name`; `NoMesh` where there is none."""
-        found = self._files.find(name, by)
-        if found is None:
+        place = self._files.find(name, by)
+        if place is None:
             raise read.NoMesh(
                 f"{by}: mesh {quoted(name)} does not exist; put the file there or remove the "
                 "<visual>"
             )
-        if found not in self._cache:
-            self._cache[found] = read.read_mesh(found, self._files)
-        return self._cache[found]
+        if place not in self._cache:
+            self._cache[place] = read.read_mesh(place, self._files)
+        return self._cache[place]
 
     def _placed(self, by: str, shape: Mesh, kind: str, T: Floats) -> Mesh:
         self._faces += len(shape.faces)

@@ -86,7 +86,7 @@ class Source:
                 objects. A plain folder takes any name.
 
         Raises:
-            InvalidSource: no such category; "all" of a folder that does not tell categories.
+            InvalidSource: no such category; "all" of a folder without categories.
         """
         names = [name.strip() for text in wanted for name in text.split(",") if name.strip()]
         if not names:
@@ -96,16 +96,16 @@ class Source:
             there = [name for name, splits in self.counts().items() if splits]
         elif "all" in names:
             kinds = (
-                found.kinds for found in listing.mixed_models(self.folder, self.file) if found.kinds
+                model.kinds for model in listing.mixed_models(self.folder, self.file) if model.kinds
             )
             there = sorted({next(filter(None, map(self.file.own_name, k)), k[0]) for k in kinds})
         if "all" in names and not there:
             raise InvalidSource(
-                f"{self.name}: does not tell of what categories its models are; name one instead "
+                f"{self.name}: does not state the categories of its models; name one instead "
                 "of 'all'"
             )
-        own = [o for n in names for o in (there if n == "all" else [self._meant(n)])]
-        return tuple(dict.fromkeys(own))
+        names_of = [o for n in names for o in (there if n == "all" else [self._meant(n)])]
+        return tuple(dict.fromkeys(names_of))
 
     def objects(
         self,
@@ -182,8 +182,8 @@ class Source:
                 known[name] = [ref.object_id for ref in self._all(name, None, wanted)]
         _check_ids(wanted, [i for names in known.values() for i in names], ", ".join(names))
         shares = {
-            name: (tuple(i for i in ids if i in own), tuple(i for i in exclude if i in own))
-            for name, own in known.items()
+            name: (tuple(i for i in ids if i in ids_of), tuple(i for i in exclude if i in ids_of))
+            for name, ids_of in known.items()
         }
         return {name: share for name, share in shares.items() if share[0] or not ids}
 
@@ -200,23 +200,23 @@ class Source:
         return {name: Counter(ref.split for ref in of) for name, of in refs.items()}
 
     def _own_category(self, name: str) -> str:
-        own = self.file.own_name(name)
-        if own is None:
+        listed = self.file.own_name(name)
+        if listed is None:
             raise unknown(f"source {self.name!r}", name, list(self.file.categories))
-        return own
+        return listed
 
     def _meant(self, name: str) -> str:
-        """Return the category that somebody calls `name`: in a folder whose models tell theirs as
+        """Return the category that somebody calls `name`: in a folder whose models state theirs as
         PartNet-Mobility has it; no more of them are examined than that takes."""
         if self.yaml:
             return self._own_category(name)
-        own = self.file.own_name(name)
+        listed = self.file.own_name(name)
         tells = (
-            own
+            listed
             and self.folder.is_dir()
-            and any(found.kinds for found in listing.mixed_models(self.folder, self.file))
+            and any(model.kinds for model in listing.mixed_models(self.folder, self.file))
         )
-        return own if own and tells else name
+        return listed if listed and tells else name
 
     def _all(
         self,
@@ -229,15 +229,15 @@ class Source:
         those called `ids`."""
         if self.yaml is None:
             return self._refs(listing.in_folder(self.folder, self.file, category), category, counts)
-        own = self._own_category(category)
+        listed = self._own_category(category)
         if maker := self.maker:
-            return self._made(maker, own, objects, ids)
+            return self._made(maker, listed, objects, ids)
         models = listing.sorted_models(self.file.reader, self.folder)
-        refs = self._refs(listing.of_category(models, self.file, own), own, counts)
+        refs = self._refs(listing.of_category(models, self.file, listed), listed, counts)
         if not refs:
             raise InvalidSource(
-                f"no model of {own!r} under {self.folder}; {self.yaml.parent}/README.md says how "
-                "to get them"
+                f"no model of {listed!r} under {self.folder}; {self.yaml.parent}/README.md says "
+                "how to get them"
             )
         return refs
 
@@ -248,7 +248,7 @@ class Source:
         counts: Counts = all_count,
     ) -> list[ObjectRef]:
         """Return objects with their splits; those that the category's lists leave out are not."""
-        found = sorted(listing.distinct(models, self.folder), key=lambda f: f.object_id)
+        sorted_models = sorted(listing.distinct(models, self.folder), key=lambda f: f.object_id)
         splits = self.file.categories[category] if self.yaml else CategorySettings()
         settings = cache(self._settings)
         top = self.folder if self.folder.is_dir() else None
@@ -258,9 +258,9 @@ class Source:
                 own_category=f.category, licence=self.licence,
                 settings=settings(category, f.reader, f.category),
             )
-            for f in found
+            for f in sorted_models
         }  # fmt: skip
-        groups = {f.object_id: f.group for f in found}
+        groups = {f.object_id: f.group for f in sorted_models}
         chosen = assign_splits(
             groups, splits.train, splits.test, cache(lambda name: counts(refs[name]))
         )
@@ -270,32 +270,32 @@ class Source:
         """Return what a source says of a category, but for the splits. Models in the layout of a
         named source get that source's words where no source.yaml describes them; those of another
         category than asked for the words for what they call themselves."""
-        file, own = self.file, category
+        file, listed = self.file, category
         if self.yaml is None:
             yaml = source_files().get(reader)
             if yaml is None:
                 return CategorySettings()
             file = read_source_file(yaml)
-            own = file.own_name(category) or file.own_name(own_category) or ""
-        settings = file.categories.get(own, CategorySettings())
+            listed = file.own_name(category) or file.own_name(own_category) or ""
+        settings = file.categories.get(listed, CategorySettings())
         return settings.model_copy(update={"train": None, "test": None})
 
     def _called(self, category: str, object_id: str) -> ObjectRef | None:
         """Return the object of that id where the name alone leads to it; no other one is examined,
-        so that its split, which they decide, stays open. None where only a listing can tell."""
-        path, own = self.folder, self._own_category(category) if self.yaml else category
+        so that its split, which they decide, stays open. None where only a listing knows."""
+        path, listed = self.folder, self._own_category(category) if self.yaml else category
         if maker := self.maker:
-            number = maker.index_of(own, object_id)
-            return None if number is None else self.made(own, number)
+            number = maker.index_of(listed, object_id)
+            return None if number is None else self.made(listed, number)
         if not self.yaml and (not path.is_dir() or readers.detect(path)):
             return None
-        wanted = self.file.words(own)
+        wanted = self.file.words(listed)
         folders = [path]  # then those in it that are called like the category
         if not self.yaml and (path / category).is_dir():
             folders = [path / category]
         else:
             like = [child for child in visible(path) if plain(child.name) in wanted]
-            folders += sorted(like, key=lambda child: plain(child.name) != plain(own))
+            folders += sorted(like, key=lambda child: plain(child.name) != plain(listed))
         for folder in folders:
             models = listing.called(object_id, folder, self.file.reader if self.yaml else "")
             if not models:
@@ -303,7 +303,7 @@ class Source:
             kinds = set(map(plain, models[0].kinds))
             if folder == path and not (kinds & wanted if kinds else self.yaml is None):
                 return None
-            refs = self._refs(models, own)
+            refs = self._refs(models, listed)
             return refs[0] if len(refs) == 1 else None
         return None
 
@@ -340,10 +340,10 @@ class Source:
 
     def _sizes(self, category: str) -> tuple[int, int]:
         """Return how many objects of a category that are made are for training and for testing."""
-        own = self.file.categories[category]
-        assert isinstance(own.train, int)
-        assert isinstance(own.test, int)
-        return own.train, own.test
+        settings = self.file.categories[category]
+        assert isinstance(settings.train, int)
+        assert isinstance(settings.test, int)
+        return settings.train, settings.test
 
 
 def open_source(source: str | Path) -> Source:
@@ -357,8 +357,12 @@ def open_source(source: str | Path) -> Source:
     """
     yaml = source_files().get(source) if isinstance(source, str) else None
     if yaml is not None:
-        name, file, own = str(source), read_source_file(yaml), users_folder()
-        folder = own / name if own and (own / name).is_dir() else yaml.parent
+        name, file, folder_of_user = str(source), read_source_file(yaml), users_folder()
+        folder = (
+            folder_of_user / name
+            if folder_of_user and (folder_of_user / name).is_dir()
+            else yaml.parent
+        )
         return Source(name, yaml.parent / file.path if file.path else folder, yaml, file)
     if readers.UNWRITABLE.search(str(source)):
         raise InvalidSource(

@@ -49,8 +49,8 @@ class SourceFile(Section):
     @classmethod
     def _a_maker_knows_its_categories(cls, data: Any) -> Any:
         name = data.get("reader") if isinstance(data, dict) else None
-        own = reader(name) if name in names() else None
-        return {"categories": own.CATEGORIES, **data} if isinstance(own, Maker) else data
+        known = reader(name) if name in names() else None
+        return {"categories": known.CATEGORIES, **data} if isinstance(known, Maker) else data
 
     @field_validator("reader")
     @classmethod
@@ -65,8 +65,8 @@ class SourceFile(Section):
     def maker(self) -> Maker | None:
         """The reader, where it makes its objects on demand; BrokenPlugin if it is another package's
         and cannot be used."""
-        own = reader(self.reader)
-        return own if isinstance(own, Maker) else None
+        known = reader(self.reader)
+        return known if isinstance(known, Maker) else None
 
     @model_validator(mode="after")
     def _made_objects_are_counted(self) -> "SourceFile":
@@ -82,22 +82,24 @@ class SourceFile(Section):
         """
         categories = self.categories
         for names_of in (
-            lambda own: (own,),
-            lambda own: categories[own].model_cat if len(categories[own].model_cat) == 1 else (),
-            lambda own: (*categories[own].model_cat, *categories[own].aliases),
+            lambda listed: (listed,),
+            lambda listed: (
+                categories[listed].model_cat if len(categories[listed].model_cat) == 1 else ()
+            ),
+            lambda listed: (*categories[listed].model_cat, *categories[listed].aliases),
         ):
-            for own in categories:
-                if plain(name) in map(plain, names_of(own)):
-                    return own
+            for listed in categories:
+                if plain(name) in map(plain, names_of(listed)):
+                    return listed
         return None
 
     def words(self, name: str) -> set[str]:
         """Return all that the category called `name` may be called, as `plain` has it."""
-        own = self.own_name(name)
-        if own is None:
+        listed = self.own_name(name)
+        if listed is None:
             return {plain(name)}
-        settings = self.categories[own]
-        return {*map(plain, (name, own, *settings.model_cat, *settings.aliases))}
+        settings = self.categories[listed]
+        return {*map(plain, (name, listed, *settings.model_cat, *settings.aliases))}
 
 
 def plain(name: str) -> str:

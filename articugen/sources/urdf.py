@@ -115,10 +115,10 @@ def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
     capsules and builds no mesh here, gets a sphere instead."""
     taken: dict[str, list[tuple[Any, Floats]]] = {}
     for link in checked.findall("link"):
-        own = taken[link.get("name")] = []
+        shapes = taken[link.get("name")] = []
         for visual in link.findall("visual"):
             geometry = visual.find("geometry")
-            own.append((geometry[0], _take_origin(visual)))
+            shapes.append((geometry[0], _take_origin(visual)))
             geometry.remove(geometry[0])
             etree.SubElement(geometry, "sphere", radius="1")
     return taken
@@ -214,8 +214,10 @@ class _Visuals:
         """Return all visuals of a link as one mesh in the link's frame, in the order of the
         file."""
         by = f"{self.path}: link {quoted(link.name)}"
-        own = ((self._shape(element, by), element.tag, T) for element, T in self.shapes[link.name])
-        return self._builder.link(by, ((mesh, tag, T) for mesh, tag, T in own if mesh))
+        pieces = (
+            (self._shape(element, by), element.tag, T) for element, T in self.shapes[link.name]
+        )
+        return self._builder.link(by, ((mesh, tag, T) for mesh, tag, T in pieces if mesh))
 
     def notes(self, unseen: list[str]) -> tuple[str, ...]:
         """Return a note for each kind of thing that is not in the meshes."""

@@ -18,15 +18,15 @@ def detect(path: Path) -> Found | None:
 def find_at(child: Path) -> list[Found]:
     """Return the model that a file is, or the models up to three folders deep in a folder."""
     if not isdir(child):
-        own = detect(child)
-        return [own] if own else []
+        model = detect(child)
+        return [model] if model else []
     deep = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if detect(p)]
-    found = []
+    models = []
     for urdf in deep:
         inside = urdf.relative_to(child).with_suffix("").parts
         name = child.name if len(deep) == 1 else ".".join((child.name, *inside))
-        found.append(Found(name, urdf, child.name, root=child))
-    return found
+        models.append(Found(name, urdf, child.name, root=child))
+    return models
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

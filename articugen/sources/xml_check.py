@@ -43,7 +43,7 @@ class Check:
 
     def named(self, elements: Iterable[Any]) -> dict[str, Any]:
         """Return elements by their names, which all have and no two share."""
-        found: dict[str, Any] = {}
+        by_name: dict[str, Any] = {}
         for element in elements:
             name = element.get("name")
             if not name:
@@ -52,20 +52,22 @@ class Check:
                 raise self.refuse(
                     element, f"has a name of more than {MAX_NAME_BYTES} bytes; shorten it"
                 )
-            if name in found:
+            if name in by_name:
                 raise self.refuse(
                     element,
                     f"a second {element.tag} of that name at line {element.sourceline}; rename one",
                 )
-            found[name] = element
-        return found
+            by_name[name] = element
+        return by_name
 
     def child(self, element: Any, tag: str, *, required: bool = False) -> Any:
         """Return the one child `<tag>`, or None."""
-        found = element.findall(tag)
-        if len(found) > 1 or (required and not found):
-            raise self.refuse(element, f"has {len(found) or 'no'} <{tag}>; a {element.tag} has one")
-        return found[0] if found else None
+        elements = element.findall(tag)
+        if len(elements) > 1 or (required and not elements):
+            raise self.refuse(
+                element, f"has {len(elements) or 'no'} <{tag}>; a {element.tag} has one"
+            )
+        return elements[0] if elements else None
 
     def numbers(
         self,
@@ -78,7 +80,7 @@ class Check:
         most: float = MAX_NUMBER,
     ) -> list[float]:
         """Return the numbers of an attribute, as many as one of `counts`, none beyond `most`; where
-        they may be `infinite`, what lies beyond is.
+        they may be `infinite`, numbers beyond are.
 
         They are written back in one plain form, so that whoever reads them reads what was checked.
         """

@@ -35,7 +35,7 @@ _ENDPOINTS = {
     "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
     "abfs": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
 }
-"""Where the environment tells of another server, by scheme."""
+"""Where the environment names another server, by scheme."""
 
 _LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
 
@@ -223,12 +223,12 @@ class Bucket(Files):
         folder."""
 
         def listing() -> dict[str, Listed]:
-            found: dict[str, Listed] = {}
+            files: dict[str, Listed] = {}
             for some in self._obstore.list(self._store, prefix=under or None):
-                for each in some:
-                    name = each["path"].removeprefix(under).removeprefix("/")
-                    found[name] = Listed(each["size"], each["last_modified"].timestamp())
-            return found
+                for entry in some:
+                    name = entry["path"].removeprefix(under).removeprefix("/")
+                    files[name] = Listed(entry["size"], entry["last_modified"].timestamp())
+            return files
 
         return self._tried(under, listing) or {}
 

@@ -16,7 +16,7 @@ _FALLING = np.arange(_BLOCK, 0, -1, dtype=np.float64)
 _FEW = 64
 """Words that Python adds up faster than numpy."""
 _EXPANDS = 1032
-"""No byte of a deflate stream stands for more than so many."""
+"""Bytes that one byte of a deflate stream stands for, at most."""
 _HARMLESS = (1 << 26) // _EXPANDS
 """Bytes that cannot expand to more than 64 MiB."""
 

@@ -176,10 +176,10 @@ def _checked_dataset(dataset: h5py.h5d.DatasetID, name: str, field: Field) -> Co
     shape = dataset.shape
     if shape is None or not _is_dtype(dataset, field):
         raise CorruptShard(f"{name!r} is not of dtype {field.dtype}")
-    made = dataset.get_create_plist()
-    if made.get_layout() != h5py.h5d.CHUNKED or made.get_chunk() != chunks.shape_of(shape):
+    settings = dataset.get_create_plist()
+    if settings.get_layout() != h5py.h5d.CHUNKED or settings.get_chunk() != chunks.shape_of(shape):
         raise CorruptShard(f"{name!r} is not stored one instance a chunk")
-    filters = [made.get_filter(i)[0] for i in range(made.get_nfilters())]
+    filters = [settings.get_filter(i)[0] for i in range(settings.get_nfilters())]
     if filters not in ([_GZIP, _FLETCHER32], [_FLETCHER32]):
         raise CorruptShard(f"{name!r} has filters {filters}, not the schema's")
     chunk_bytes = int(np.prod(chunks.shape_of(shape), dtype=float)) * dataset.dtype.itemsize

@@ -94,8 +94,8 @@ def fault(text: bytes, manifest: Manifest) -> str | None:
         return None
     if manifest.articugen_version != code_version():
         try:
-            told, facts = json.loads(text), json.loads(wanted)
-            if all(told[key] == facts[key] for key in _FACTS):
+            read, facts = json.loads(text), json.loads(wanted)
+            if all(read[key] == facts[key] for key in _FACTS):
                 return None
         except (ValueError, RecursionError, KeyError, TypeError):
             pass
@@ -111,7 +111,7 @@ def document(
 ) -> bytes:
     """Return the text of a croissant.json: `manifest` has licence and source, `distribution` is
     what `listed` gives, `records` are RecordSets."""
-    told: dict[str, Any] = {
+    text: dict[str, Any] = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
@@ -122,11 +122,11 @@ def document(
         "citeAs": _CITATION % (re.sub(r"[^\w -]", "_", name), VERSION),
     }
     if manifest is not None:
-        told |= {"license": manifest.licence, "isBasedOn": manifest.source}
-    told["distribution"] = distribution
+        text |= {"license": manifest.licence, "isBasedOn": manifest.source}
+    text["distribution"] = distribution
     if records:
-        told["recordSet"] = list(records)
-    return json.dumps(told, indent=1, ensure_ascii=False).encode() + b"\n"
+        text["recordSet"] = list(records)
+    return json.dumps(text, indent=1, ensure_ascii=False).encode() + b"\n"
 
 
 def listed(files: Sequence[File]) -> list[dict[str, Any]]:

@@ -149,8 +149,8 @@ class DataSet(Sequence[Row]):
                 f"{self.path}: no instance is of split {name!r}{nearest(name, there)}; there are: "
                 f"{', '.join(there) or 'no instances at all'}"
             )
-        mine = [entry.split == name for entry in self._shelf.entries]
-        return DataSet(self._shelf, self._where[np.array(mine)[self._where[:, 0]]])
+        of_split = [entry.split == name for entry in self._shelf.entries]
+        return DataSet(self._shelf, self._where[np.array(of_split)[self._where[:, 0]]])
 
     def of(self, *objects: str) -> "DataSet":
         """Return the instances of these objects alone.
@@ -240,7 +240,7 @@ class DataSet(Sequence[Row]):
         Args:
             which: how many, drawn without repeats; or which, by their numbers.
             fields: names as in `fields` and docs/format.md.
-            points: so many of the stored points of an instance, drawn without repeats, each as
+            points: how many of the stored points of an instance, drawn without repeats, each as
                 likely as any other; what belongs to the same points (normals, parts, labels)
                 stays with them. None takes all, in the order they are stored in.
             rng: for what is drawn; the same seed draws the same.
@@ -281,9 +281,9 @@ class DataSet(Sequence[Row]):
     ) -> "TorchDataSet":
         """Return a map-style torch Dataset of dicts of tensors, for any DataLoader.
 
-        Points are drawn anew each time, by torch's own generator: `torch.manual_seed` decides them,
-        and a DataLoader's workers draw different ones. Points, normals and numbers of joints are
-        float32, labels uint8, `state_index` int64.
+        Points are drawn again each time, by torch's own generator: `torch.manual_seed` decides
+        them, and a DataLoader's workers draw different ones. Points, normals and numbers of joints
+        are float32, labels uint8, `state_index` int64.
 
         Args:
             fields, points: see `batch`.
@@ -295,7 +295,7 @@ class DataSet(Sequence[Row]):
         from articugen.store.torch_dataset import TorchDataSet  # noqa: PLC0415 - torch is optional
 
         if len(self):
-            self.batch([0], fields, points=points, rng=0)  # what cannot be had is said here
+            self.batch([0], fields, points=points, rng=0)  # what is missing is an error here
         return TorchDataSet(self, tuple(fields), points)
 
     def _drawn(self, which: Any, rng: np.random.Generator) -> NDArray[np.int32]:
@@ -356,12 +356,12 @@ class DataSet(Sequence[Row]):
         per_split = ", ".join(f"{count:,} {split}" for split, count in self.splits.items())
         objects = f"{len(self.objects)} object{'s' * (len(self.objects) != 1)}"
         clouds = {stem: self.fields.get(f"{stem}_points", (0,))[:-1] for stem in _CLOUDS}
-        said = [f"{n} {' x '.join(map(str, s))}" for n, s in clouds.items() if s and 0 not in s]
+        sizes = [f"{n} {' x '.join(map(str, s))}" for n, s in clouds.items() if s and 0 not in s]
         grids = [n.removeprefix("occupancy_") for n in self.fields if n.startswith("occupancy_")]
-        said += [f"grids {', '.join(sorted(grids, key=int))}"] if grids else []
+        sizes += [f"grids {', '.join(sorted(grids, key=int))}"] if grids else []
         return (
             f"DataSet({self.path}: {self.category}, {len(self):,} instances ({per_split}) of "
-            f"{objects}\n  points: {', '.join(said)})"
+            f"{objects}\n  points: {', '.join(sizes)})"
         )
 
     def _repr_html_(self) -> str | None:
@@ -407,11 +407,11 @@ def _some(there: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     Where they divide, one of each run of neighbours: stored points are independent of their order,
     so that this is as random a sample of the shape, and takes a sixth of the time.
     """
-    each, rest = divmod(there, max(count, 1))
+    per_part, rest = divmod(there, max(count, 1))
     if rest or not count:
         return rng.choice(there, count, replace=False, shuffle=False)
-    if 256 % each == 0:  # many times faster, and as even
-        return np.arange(0, there, each) + (
-            rng.integers(0, 256, count, np.uint8) & np.uint8(each - 1)
+    if 256 % per_part == 0:  # many times faster, and as even
+        return np.arange(0, there, per_part) + (
+            rng.integers(0, 256, count, np.uint8) & np.uint8(per_part - 1)
         )
-    return np.arange(0, there, each) + rng.integers(0, each, count)
+    return np.arange(0, there, per_part) + rng.integers(0, per_part, count)

@@ -1,6 +1,6 @@
 """The manifest: what was made, from what, by which version, and what was not and why.
 
-It is written last: a folder with a manifest is complete. `pipeline.records` tells of the others.
+It is written last: a folder with a manifest is complete. `pipeline.records` knows the others.
 One of very many objects has their entries in files beside it: see manifest_pages.py.
 """
 
@@ -111,11 +111,13 @@ class Manifest(Record):
     manifest_sha256: Sha256
 
     def __repr__(self) -> str:
-        made = f"{len(self.objects):,} objects, {sum(s.instances for s in self.shards):,} instances"
+        counts = (
+            f"{len(self.objects):,} objects, {sum(s.instances for s in self.shards):,} instances"
+        )
         lists = {"rejected": self.rejected, "skipped": self.skipped, "failed": self.failed}
         out = "".join(f", {len(some):,} {name}" for name, some in lists.items() if some)
         return printable(
-            f"Manifest({self.category} from {self.source}: {made}{out}; "
+            f"Manifest({self.category} from {self.source}: {counts}{out}; "
             f"content {self.content_sha256[:16]})"
         )
 
@@ -127,14 +129,14 @@ class Manifest(Record):
             raise ValueError("recipe_sha256 is not the digest of recipe")
         if content_of(self.objects) != self.content_sha256:
             raise ValueError("content_sha256 is not the digest of the objects'")
-        held = Counter({shard.name: shard.instances for shard in self.shards})
+        instances = Counter({shard.name: shard.instances for shard in self.shards})
         listed = Counter[str]()
         for entry in self.objects:
             listed[entry.shard] += entry.instances
-        if held != listed or len(held) != len(self.shards):
+        if instances != listed or len(instances) != len(self.shards):
             raise ValueError("objects and shards do not list the same instances")
         if self.failed and not self.shortfall:
-            raise ValueError("objects failed, but the set is said to be whole")
+            raise ValueError("objects failed, but the set is marked as whole")
         times = Counter((key.split, key.object_id) for key in self.keys)
         if times and times.most_common(1)[0][1] > 1:
             raise ValueError(f"object {times.most_common(1)[0][0][1]} is listed twice")
@@ -344,5 +346,5 @@ def content_of(objects: Iterable[ObjectEntry]) -> str:
 def _first_fault(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
-    said = first["msg"].removeprefix("Value error, ")
-    return f"{where}: {said}" if where else said
+    sentence = first["msg"].removeprefix("Value error, ")
+    return f"{where}: {sentence}" if where else sentence

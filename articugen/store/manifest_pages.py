@@ -1,7 +1,7 @@
 """Pages of a large manifest: files beside it, each with the entries of some of its objects.
 
 The manifest then has, in place of its lists of entries, the name, size and digest of each page. A
-page's name tells its place and its content, so that no page is ever written over another: pages
+page's name states its place and its content, so that no page is ever written over another: pages
 come first and the manifest last, and until then the one that was there stays whole.
 """
 

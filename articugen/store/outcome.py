@@ -64,16 +64,17 @@ class Key(_Entry):
         """The object, whatever it is made with."""
         return self.split, self.object_id
 
-    def difference(self, made: "Key") -> str | None:
-        """Return why data made for the key `made` will not do for this one; None where it does."""
-        if made.ref != self.ref:
+    def difference(self, theirs: "Key") -> str | None:
+        """Return why data made for the key `theirs` will not do for this one; None where it
+        does."""
+        if theirs.ref != self.ref:
             return "its source has changed"
-        if made.recipe_sha256 != self.recipe_sha256:
+        if theirs.recipe_sha256 != self.recipe_sha256:
             return "the recipe has changed"
-        if made.seed != self.seed:
-            return f"the seed was {made.seed}, is {self.seed}"
-        if made.generator != self.generator:
-            was, now = set(made.generator.split(", ")), set(self.generator.split(", "))
+        if theirs.seed != self.seed:
+            return f"the seed was {theirs.seed}, is {self.seed}"
+        if theirs.generator != self.generator:
+            was, now = set(theirs.generator.split(", ")), set(self.generator.split(", "))
             both = ((was, now), (now, was))
             numbers = (", ".join(sorted(one - other)) or "without" for one, other in both)
             return "the code makes other data: it was {}, is {}".format(*numbers)
@@ -162,7 +163,7 @@ class Outcome(Record):
                 "an outcome is an object with its shard, or why there is none: one of the two"
             )
         if self.made and self.shard and self.made.shard != self.shard.name:
-            raise ValueError("the object is said to be in another shard")
+            raise ValueError("the object is listed in another shard")
         return self
 
     @staticmethod
@@ -176,7 +177,7 @@ class Outcome(Record):
     ) -> "Outcome":
         """Return the outcome of an object whose instances, and only those, are in the shard
         `record`."""
-        made = ObjectEntry(
+        entry = ObjectEntry(
             key=key,
             input_sha256=input_sha256,
             shard=record.name,
@@ -191,7 +192,7 @@ class Outcome(Record):
             bytes=record.bytes,
             instances=record.instances,
         )
-        return Outcome(made=made, shard=shard)
+        return Outcome(made=entry, shard=shard)
 
     @property
     def key(self) -> Key:

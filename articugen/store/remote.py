@@ -50,21 +50,21 @@ class FileSystem(Files):
             raise MissingExtra("fsspec", "fsspec") from None
         scheme = scheme_of(url)
         if scheme not in fsspec.available_protocols():
-            known = ", ".join(f"{each}://" for each in (*SCHEMES, "http", "hf"))
+            known = ", ".join(f"{name}://" for name in (*SCHEMES, "http", "hf"))
             raise InvalidArgument(
                 f"{url}: no object store is called so; give {known}, or what else fsspec knows"
             )
         try:
-            found = self._tried("", lambda: fsspec.core.url_to_fs(self.url))
+            opened = self._tried("", lambda: fsspec.core.url_to_fs(self.url))
         except ImportError as error:
             package = _PACKAGES.get(scheme)
             cure = f"run: pip install {package}" if package else str(error)
             raise ArticugenError(f"{url}: fsspec cannot read {scheme}:// yet; {cure}") from None
         except ValueError as error:
             raise InvalidArgument(f"{url}: {error}") from None
-        if found is None:
+        if opened is None:
             raise InvalidArgument(f"{url}: there is no such folder")
-        self._fs, self._root = found[0], found[1].rstrip("/")
+        self._fs, self._root = opened[0], opened[1].rstrip("/")
 
     def _read(self, name: str) -> bytes:
         return self._fs.cat_file(f"{self._root}/{name}")
@@ -137,11 +137,11 @@ class RangeFile(io.RawIOBase):
 
     def read_spans(self, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
         """Return parts of the file, in as few requests as they take; OSError if it is gone."""
-        asked = [span for span in spans if span[1]]
-        parts = self._folder.ranges(self._name, asked)
+        wanted = [span for span in spans if span[1]]
+        parts = self._folder.ranges(self._name, wanted)
         if parts is None:
             raise FileNotFoundError(2, "No such file or directory", self._name)
-        if [len(part) for part in parts] != [size for _, size in asked]:
+        if [len(part) for part in parts] != [size for _, size in wanted]:
             raise MachineFault(
                 f"{self._folder.url}/{self._name}: parts of it come over as others than were asked "
                 "for; copy the data set, and open the copy"

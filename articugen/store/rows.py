@@ -330,23 +330,23 @@ class Row:
         """Joint j moves part j + 1."""
         names = ("name", "kind", "state", "lower", "upper", "axis", "pivot", "parent")
         self._learn(["scale", *(f"joint_{name}" for name in names)])
-        each: dict[str, Any] = {name: self._known.get(f"joint_{name}") for name in names}
-        each["name"] = each["name"] or ("",) * len(each["kind"])
-        kinds = [str(JointKind(kind)) for kind in each["kind"]]
+        fields: dict[str, Any] = {name: self._known.get(f"joint_{name}") for name in names}
+        fields["name"] = fields["name"] or ("",) * len(fields["kind"])
+        kinds = [str(JointKind(kind)) for kind in fields["kind"]]
         metres = [self.scale if kind == "prismatic" else 1.0 for kind in kinds]
         return tuple(
             RowJoint(
-                name=each["name"][j],
+                name=fields["name"][j],
                 kind=kind,
-                state=float(each["state"][j]) * metres[j],
-                lower=float(each["lower"][j]) * metres[j],
-                upper=float(each["upper"][j]) * metres[j],
-                state_unit=float(each["state"][j]),
-                lower_unit=float(each["lower"][j]),
-                upper_unit=float(each["upper"][j]),
-                axis=each["axis"][j],
-                pivot=each["pivot"][j],
-                parent=int(each["parent"][j]),
+                state=float(fields["state"][j]) * metres[j],
+                lower=float(fields["lower"][j]) * metres[j],
+                upper=float(fields["upper"][j]) * metres[j],
+                state_unit=float(fields["state"][j]),
+                lower_unit=float(fields["lower"][j]),
+                upper_unit=float(fields["upper"][j]),
+                axis=fields["axis"][j],
+                pivot=fields["pivot"][j],
+                parent=int(fields["parent"][j]),
                 part=j + 1,
             )
             for j, kind in enumerate(kinds)
@@ -378,8 +378,8 @@ class Row:
         points, part = np.asarray(self.surface.points, np.float64), self.surface.part
         flow = np.zeros_like(points)
         for k, (T_own, T_other) in enumerate(zip(invert_rigid(back), forth, strict=True)):
-            mine = part == k
-            flow[mine] = apply(T_other, apply(T_own, points[mine])) - points[mine]
+            of_part = part == k
+            flow[of_part] = apply(T_other, apply(T_own, points[of_part])) - points[of_part]
         return flow.astype(np.float32)
 
     def _which(self) -> str:

@@ -70,7 +70,7 @@ def _entries(folder: Path | Remote, manifest: Manifest) -> Iterator[_Entry]:
 
 
 class Same(Sequence[str]):
-    """One text, so many times."""
+    """One text, repeated."""
 
     def __init__(self, text: str, count: int) -> None:
         self._text, self._count = text, count
@@ -138,8 +138,8 @@ class Shelf:
         handle = self._handle(shard)
         try:
             stored = [self._stored[shard, name] for name in names]
-            parts = handle.read_spans([each.span(row) for each in stored])
-            return [each.row(part) for each, part in zip(stored, parts, strict=True)]
+            parts = handle.read_spans([column.span(row) for column in stored])
+            return [column.row(part) for column, part in zip(stored, parts, strict=True)]
         except (OSError, ValueError) as error:
             raise machine_fault(error) or CorruptShard(
                 f"{self.entries[shard].path}: damaged ({error}); make it again or fetch it again"
@@ -163,7 +163,7 @@ class Shelf:
                 if isinstance(path, Remote) or _kind(name) in kinds:
                     self._stored[shard, name] = opened.columns[name]
         if len(opened) != self.entries[shard].instances:
-            raise CorruptShard(f"{path}: not the shard that the manifest tells of; see verify")
+            raise CorruptShard(f"{path}: not the shard that the manifest lists; see verify")
 
     def _handle(self, shard: int) -> Handle:
         handle = self._handles.get(shard)

@@ -26,7 +26,7 @@ from articugen.store.columns import MAX_ATTRIBUTE_BYTES, Attribute, opened
 from articugen.store.shards import ShardRecord, instance_sha256, open_shard
 
 Check = Callable[[Path, ShardRecord], None]
-"""Looks at a shard that is whole but has not its name yet, and raises where it must not get it."""
+"""Examines a shard that is whole but has not its name yet, and raises where it must not get it."""
 
 
 def write_shard(
@@ -48,9 +48,9 @@ def write_shard(
         MachineFault: the disk is full, the folder cannot be written to.
         ValueError: instances of different shapes, a missing attribute: faults of the caller.
     """
-    given = {"format": schema.FORMAT, "schema_version": schema.SCHEMA_VERSION, **attributes}
+    values = {"format": schema.FORMAT, "schema_version": schema.SCHEMA_VERSION, **attributes}
     for name, (kind, _) in schema.ATTRIBUTES.items():
-        if not isinstance(given.get(name), kind):
+        if not isinstance(values.get(name), kind):
             raise ValueError(f"{path}: attribute {name!r} is missing or not of its type")
     content: list[tuple[str, int, str]] = []
     record = ShardRecord(path.name, "", 0, 0, ())
@@ -58,7 +58,7 @@ def write_shard(
     def look(temporary: Path) -> None:
         nonlocal record
         with open_shard(temporary) as shard:
-            if shard.content() != tuple(content) or dict(shard.attributes) != given:
+            if shard.content() != tuple(content) or dict(shard.attributes) != values:
                 raise ArticugenError(f"{path}: reads back otherwise than written; check the disk")
         size = temporary.stat().st_size
         record = ShardRecord(path.name, sha256_of(temporary), size, len(content), tuple(content))
@@ -68,7 +68,7 @@ def write_shard(
     with written_atomically(path, check=look) as file:
         disk = Disk(file)
         with new_hdf5(disk, libver="v110") as hdf5:  # 2016: with checksums on its metadata
-            _describe_file(hdf5, given)
+            _describe_file(hdf5, values)
             for row in _written(hdf5, instances):
                 content.append(row)
                 if disk.fault is not None:
@@ -79,7 +79,7 @@ def write_shard(
 def copy_user_group(path: Path, into: Path, written: int) -> None:
     """Copy the group `user`, if any, of a file that may be damaged, or not be there, into a shard,
     which is otherwise left as it is. A file of more bytes than were `written` may have one:
-    CorruptShard if that cannot be read, or if nobody can tell."""
+    CorruptShard if that cannot be read, or if that is unknown."""
     if not os.path.lexists(path):
         return
     is_there = path.stat().st_size > written

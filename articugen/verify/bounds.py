@@ -71,7 +71,7 @@ class Bound:
         least: the true share of any sound object is at least that.
         sound: the least share measured in sound instances, of those that could be refused.
         faulty: the greatest share that gives away one of the faults of tests/test_invariants.py.
-        per: so many places tell no more than one. Points are drawn each for itself; voxels beside
+        per: how many places say no more than one. Points are drawn each for itself; voxels beside
             each other lie in the same plate, or in the same gap.
     """
 
@@ -155,7 +155,7 @@ MOST_OFF_LEVEL = 0.05
 most in sound sets with views of 128 pixels and more was 0.031, of a thin faucet."""
 
 OFF_LEVEL_PER_PIXEL = 8.0
-"""With coarse views more may: so many times the width of a pixel, in the unit frame. What is finer
+"""With coarse views more may: multiples of the width of a pixel, in the unit frame. What is finer
 than a pixel (a sheet's edge, a slot) no view need see. The most in sound sets was five times. Of a
 surface a voxel beside the level half and more is off it."""
 

@@ -25,7 +25,7 @@ def check(
 
     Args:
         data: its folder, or the data set that is open.
-        replay: make so many instances again from their source: each must come out the same to the
+        replay: make this many instances again from their source: each must come out the same to the
             byte, with its surface points on the field's zero level.
         repair: make damaged shards again from recipe and sources, each to the same content, and a
             damaged manifest from whole shards; then check again.
@@ -46,7 +46,7 @@ def check(
         MachineFault: a repair has no space on the disk, or the like; what was mended is kept.
     """
     if drop_user and not repair:
-        raise InvalidArgument("drop_user (--drop-user) is said of a repair; add that (--repair)")
+        raise InvalidArgument("drop_user (--drop-user) belongs to a repair; add that (--repair)")
     folder, jobs = Path(data), jobs or default_jobs()
     report = verify(folder, jobs=jobs, on_shard=on_shard)
     if repair and not report.ok:
@@ -62,6 +62,6 @@ def check(
     if replay and report.ok:
         from articugen.verify import replay as again  # noqa: PLC0415 - the stages take a second
 
-        found = tuple(finding for finding in again.replay(folder, replay) if finding)
-        return replace(report, findings=found)
+        findings = tuple(finding for finding in again.replay(folder, replay) if finding)
+        return replace(report, findings=findings)
     return report

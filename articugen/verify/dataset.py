@@ -5,7 +5,7 @@ the shards say of themselves, content digests, and what `invariants` knows of th
 is changed and nothing is believed.
 
 Pictures and pages are welcome in a data set's folder: our commands put them there. Whatever else
-the manifest does not tell of is named.
+the manifest does not list is named.
 """
 
 import hashlib
@@ -61,7 +61,7 @@ class Report:
 
     Attributes:
         extended: names of the shards that are as they were made but for a group `user` that
-            somebody added; it was not looked at.
+            somebody added; it was not checked.
         repairs: what was done, where that was asked for, before this was found.
     """
 
@@ -83,10 +83,10 @@ class Report:
 
     def __repr__(self) -> str:
         count = len(self.findings)
-        found = "ok" if self.ok else f"{count} finding{'s' * (count != 1)}"
-        about = f"Report({found}: {self.shards} shards, {self.instances:,} instances)"
-        said = [*self.repairs, *self.findings]
-        return "\n".join([about, *(f"  {each}" for each in said)])
+        summary = "ok" if self.ok else f"{count} finding{'s' * (count != 1)}"
+        about = f"Report({summary}: {self.shards} shards, {self.instances:,} instances)"
+        lines = [*self.repairs, *self.findings]
+        return "\n".join([about, *(f"  {line}" for line in lines)])
 
 
 def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | None = None) -> Report:
@@ -110,8 +110,8 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     )
     extended: list[str] = []
     with closing(looked):
-        for shard, (found, more) in zip(manifest.shards, looked, strict=True):
-            findings += found
+        for shard, (some, more) in zip(manifest.shards, looked, strict=True):
+            findings += some
             extended += [shard.name] * more
             if on_shard is not None:
                 on_shard(shard.name)
@@ -164,10 +164,12 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
             yield Finding(
                 "manifest", "ref is neither its input's nor a name's", "", entry.key.object_id
             )
-    made = manifest.timings.instances_per_second * manifest.timings.seconds
+    instances = manifest.timings.instances_per_second * manifest.timings.seconds
     most = len(keys) * (recipe.articulation.states + 1) if recipe else 0
-    if recipe and (made >= most + 0.5 or abs(made - round(made)) > 1e-6 * max(made, 1.0)):
-        yield Finding("manifest", "timings tell of a number of instances that cannot be")
+    if recipe and (
+        instances >= most + 0.5 or abs(instances - round(instances)) > 1e-6 * max(instances, 1.0)
+    ):
+        yield Finding("manifest", "timings give a number of instances that cannot be")
     unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
     for fault in unfinished:
         sentence = f"is not in the data, and will be tried again: {fault.reason}"
@@ -179,9 +181,9 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
 
 def _splits(manifest: Manifest) -> Iterator[Finding]:
     shards = {entry.key: entry.shard for entry in manifest.objects}
-    seen: dict[str, str] = {}
+    known: dict[str, str] = {}
     for key in manifest.keys:
-        other = seen.setdefault(key.object_id, key.split)
+        other = known.setdefault(key.object_id, key.split)
         if other != key.split:
             sentence = f"is in {other} and in {key.split}"
             yield Finding("splits", sentence, shards.get(key, ""), key.object_id)
@@ -306,11 +308,11 @@ def _row_findings(
         places.setdefault(object_id, []).append(index)
     for object_id in sorted(places):
         rows = [shard.stored_row(index) for index in places[object_id]]
-        made = [
+        parts = [
             (object_id, int(row["state_index"]), instance_sha256(object_id, row.items()))
             for row in rows
         ]
-        if content_sha256(made) != recorded.get(object_id):
+        if content_sha256(parts) != recorded.get(object_id):
             sentence = "not the content that the manifest records"
             content.append(Finding("content", sentence, name, object_id))
         if recipe is not None and rows:

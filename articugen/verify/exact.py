@@ -42,8 +42,8 @@ def _numbers(row: Instance, _: Recipe) -> Iterator[str]:
         yield f"scale is {row.scale}"
     if not np.isin(row.joint_kind, STORED_KINDS).all():
         yield f"joint_kind is none of {', '.join(f'{k:d} {k}' for k in STORED_KINDS)}"
-    own = np.arange(1, len(row.joint_kind) + 1)
-    if (row.joint_parent > len(own)).any() or (row.joint_parent == own).any():
+    parts = np.arange(1, len(row.joint_kind) + 1)
+    if (row.joint_parent > len(parts)).any() or (row.joint_parent == parts).any():
         yield "joint_parent names a part that is not there, or the joint's own"
 
 
@@ -53,12 +53,12 @@ def _counts(row: Instance, recipe: Recipe) -> Iterator[str]:
     fields, shapes = recipe.fields(), recipe.instance_shapes()
     for name in sorted(have.keys() - shapes.keys()):
         yield f"{name} is there, which the recipe does not ask for"
-    for name, asked in shapes.items():
+    for name, wanted in shapes.items():
         if name not in have and fields[name].asked_by:  # older shards lack names
             yield f"{name} is missing, which the recipe asks for"
-        shape = have.get(name, asked)
-        if any(n not in (None, size) for n, size in zip(asked, shape, strict=True)):
-            numbers = ", ".join(map(str, asked)).replace("None", "any")
+        shape = have.get(name, wanted)
+        if any(n not in (None, size) for n, size in zip(wanted, shape, strict=True)):
+            numbers = ", ".join(map(str, wanted)).replace("None", "any")
             yield f"{name} has shape {shape} where the recipe asks for ({numbers})"
 
 
@@ -210,10 +210,10 @@ def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | Non
     """Check that where part 0 has material in one pose it has in all, or a moving part's lies in
     it."""
     for resolution, first in rows[0].occupancy.items():
-        held = first == 1
+        inside = first == 1
         for row in rows[1:]:
             grid = row.occupancy.get(resolution, first)
-            gone = (held & ~is_material(grid)) | ((grid == 1) & ~is_material(first))
+            gone = (inside & ~is_material(grid)) | ((grid == 1) & ~is_material(first))
             if gone.any():
                 yield (
                     row.state_index,

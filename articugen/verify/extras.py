@@ -69,8 +69,8 @@ def _seen_by(row: Instance, view: int) -> Floats:
     i, j = np.nonzero(row.image_depth[view])
     z = row.image_depth[view][i, j].astype(np.float64)
     fx, fy, cx, cy = row.image_intrinsics[view]
-    seen = np.stack([(j + 0.5 - cx) / fx * z, (i + 0.5 - cy) / fy * z, z], axis=1)
-    return apply(np.linalg.inv(row.image_T_camera_world[view]), seen)
+    points = np.stack([(j + 0.5 - cx) / fx * z, (i + 0.5 - cy) / fy * z, z], axis=1)
+    return apply(np.linalg.inv(row.image_T_camera_world[view]), points)
 
 
 CHECKS: dict[str, Callable[[Instance, Recipe], Iterator[str]]] = {

@@ -23,7 +23,7 @@ class Finding:
     """One thing that is wrong.
 
     Attributes:
-        check: what was looked at, for instance "checksum" or "zero level".
+        check: what was checked, for instance "checksum" or "zero level".
         sentence: what is wrong.
         shard: the name of the file, or "" where the finding concerns the data set.
         object_id: or "".
@@ -61,18 +61,20 @@ def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str,
     """Yield (state_index, check, share) of everything sampled in all instances of one object."""
     canonical = next((Samples(row) for row in rows if row.state_index == 0), None)
     for row in rows:
-        seen = Samples(row)
+        samples = Samples(row)
         for check, judge in SHARE_CHECKS.items():
-            yield from ((row.state_index, check, share) for share in judge(seen, recipe))
+            yield from ((row.state_index, check, share) for share in judge(samples, recipe))
         if canonical is not None:
-            yield from ((row.state_index, "flow", share) for share in flow_shares(seen, canonical))
+            yield from (
+                (row.state_index, "flow", share) for share in flow_shares(samples, canonical)
+            )
 
 
-def _refused(found: Iterator[tuple[int, str, Share]]) -> Iterator[Finding]:
+def _refused(shares: Iterator[tuple[int, str, Share]]) -> Iterator[Finding]:
     """Yield the instances whose shares are refused, and the object where only all of them together
     show it."""
     alike: dict[tuple[str, str], list[tuple[int, Share]]] = {}
-    for state, check, share in found:
+    for state, check, share in shares:
         alike.setdefault((check, share.sentence), []).append((state, share))
     for (check, sentence), several in alike.items():
         alone = [

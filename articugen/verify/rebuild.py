@@ -74,8 +74,8 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     wide = min(jobs, len(names)) if jobs > 1 else 0
     looked = processes.in_order(partial(_witness, folder), names, workers=wide)
     whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
-    about, told = _common(whole), _said(folder)
-    kept = {o.shard.name: o for o in _made_in(told, about) if o.shard}
+    about, known = _common(whole), _said(folder)
+    kept = {o.shard.name: o for o in _made_in(known, about) if o.shard}
     outcomes = {name: o for name, o in kept.items() if _agrees(o, whole.get(name))}
     alone = [witness for name, witness in whole.items() if name not in outcomes]
     proven = processes.in_order(
@@ -92,10 +92,10 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     others = {
         entry.key.object_id: Outcome.model_validate({kind: entry})
         for kind in ("rejected", "skipped", "failed")
-        for entry in _entries(told, kind, Rejection)
+        for entry in _entries(known, kind, Rejection)
         if _is_of(entry.key, about) and entry.key.object_id not in holders
     }
-    shortfall = told.get("shortfall") or (
+    shortfall = known.get("shortfall") or (
         "objects failed" if any(other.failed for other in others.values()) else None
     )
     manifest = Manifest.of(
@@ -103,22 +103,24 @@ def _rebuilt(folder: Path, jobs: int) -> str:
         category=str(about["category"]),
         source=str(about["source"]),
         licence=str(about["licence"]),
-        recipe=_recipe(told, about) or str(about["recipe"]),
+        recipe=_recipe(known, about) or str(about["recipe"]),
         seed=int(about["seed"]),
         timings=_NO_RUN,
         shortfall=shortfall if isinstance(shortfall, str) else None,
     )
     write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
     manifest.write(folder)
-    said = f"made again from {len(whole)} shards"
+    sentence = f"made again from {len(whole)} shards"
     if alone:
-        said += f", {len(alone)} of them proven by making an instance again"
+        sentence += f", {len(alone)} of them proven by making an instance again"
     rest = "taken from the damaged one" if kept else "lost"
-    said += f"; what nothing else tells (rejected objects, notes, times) is {rest}"
+    sentence += f"; what nothing else records (rejected objects, notes, times) is {rest}"
     if lost := sorted(set(names) - outcomes.keys()):
-        said += f"; what {', '.join(lost)} held is not known any more: move it away, and run the "
-        said += "command again that made the data set"
-    return said
+        sentence += (
+            f"; what {', '.join(lost)} held is not known any more: move it away, and run the "
+        )
+        sentence += "command again that made the data set"
+    return sentence
 
 
 def _witness(folder: Path, name: str) -> _Witness | None:
@@ -138,14 +140,14 @@ def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
     """Return what all shards say alike; ArticugenError if there is none, or they do not."""
     if not whole:
         raise ArticugenError(
-            "no shard is whole that could tell what the data set was; fetch manifest.json again, "
+            "no shard is whole that could show what the data set was; fetch manifest.json again, "
             "or make the data set again in another folder"
         )
     (first, witness), *others = whole.items()
     for attribute in _ALIKE:
         if attribute not in witness.about:
             raise ArticugenError(
-                f"{first} does not tell its {attribute}; fetch manifest.json again"
+                f"{first} does not state its {attribute}; fetch manifest.json again"
             )
         for name, other in others:
             if other.about.get(attribute) != witness.about[attribute]:
@@ -156,10 +158,10 @@ def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
     return witness.about
 
 
-def _made_in(told: dict[str, Any], about: Mapping[str, Attribute]) -> Iterator[Outcome]:
+def _made_in(known: dict[str, Any], about: Mapping[str, Attribute]) -> Iterator[Outcome]:
     """Yield what a damaged manifest still says of objects that were made, if it fits the shards."""
-    shards = {shard.name: shard for shard in _entries(told, "shards", ShardEntry)}
-    for entry in _entries(told, "objects", ObjectEntry):
+    shards = {shard.name: shard for shard in _entries(known, "shards", ShardEntry)}
+    for entry in _entries(known, "objects", ObjectEntry):
         if entry.shard in shards and _is_of(entry.key, about):
             yield Outcome(made=entry, shard=shards[entry.shard])
 
@@ -176,63 +178,63 @@ def _said(folder: Path) -> dict[str, Any]:
     pages = [_json(folder / name) for name in (there if listed or not head else ())]
     lists = {name: [head.get(name), *(page.get(name) for page in pages)] for name in LISTS}
     return head | {
-        name: [entry for some in found if isinstance(some, list) for entry in some]
-        for name, found in lists.items()
+        name: [entry for some in entries if isinstance(some, list) for entry in some]
+        for name, entries in lists.items()
     }
 
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        told = json.loads(read_regular(path, MOST_BYTES))
+        content = json.loads(read_regular(path, MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
-def _entries(told: dict[str, Any], name: str, kind: type[R]) -> list[R]:
+def _entries(known: dict[str, Any], name: str, kind: type[R]) -> list[R]:
     """Return the entries of a list that can be read."""
-    found: list[R] = []
-    for entry in told[name]:
+    entries: list[R] = []
+    for entry in known[name]:
         try:
-            found.append(kind.model_validate_json(json.dumps(entry)))
+            entries.append(kind.model_validate_json(json.dumps(entry)))
         except (ValidationError, ValueError):
             continue
-    return found
+    return entries
 
 
 def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
     return all(getattr(key, n) == about[n] for n in ("recipe_sha256", "seed", "generator"))
 
 
-def _recipe(told: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
+def _recipe(known: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
     """Return the whole recipe, of which shards have what decides one object; None if damaged."""
-    text = str(told.get("recipe"))
+    text = str(known.get("recipe"))
     recipe = Recipe.of_text(text)
     if recipe is None:
         return None
     digest = hashlib.sha256(text.encode()).hexdigest()
     fits = recipe.text() == text and recipe.for_one_object().text() == about["recipe"]
-    return text if fits and digest == told.get("recipe_sha256") else None
+    return text if fits and digest == known.get("recipe_sha256") else None
 
 
 def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
     """Return whether a damaged manifest may be believed of an object. Where its shard is damaged
     too that one is made again, which will show."""
-    made, key = outcome.made, outcome.key
-    assert made
+    entry, key = outcome.made, outcome.key
+    assert entry
     if witness is None:
         return True
-    if made.content_sha256 != content_sha256(witness.record.content):
+    if entry.content_sha256 != content_sha256(witness.record.content):
         return False
     if key.object_id != witness.object_id or key.split != witness.about["split"]:
         return False
     source, category = str(witness.about["source"]), str(witness.about["category"])
     if key.ref != f"{source}/{key.object_id}":
-        return key.ref == made.input_sha256
+        return key.ref == entry.input_sha256
     try:
         ref = open_source(source).find(category, key.object_id)
         code = generator_of(ref, str(witness.about["recipe"]))
-        return code != key.generator or digest(ref) == made.input_sha256
+        return code != key.generator or digest(ref) == entry.input_sha256
     except ArticugenError:  # nothing contradicts it
         return True
 

@@ -2,7 +2,7 @@
 
 The manifest stays where it is, and a shard is replaced in one step, by one that has the content
 which the manifest records for it: whoever kills a repair finds the data set no worse than before.
-What cannot be made again is left as it is, and why is said.
+What cannot be made again is left as it is, with the reason.
 """
 
 from collections.abc import Callable, Iterator
@@ -71,7 +71,7 @@ def repair(
             wrong.setdefault(finding.shard, []).append(finding)
     with Records(Folder(folder)) as records:
         manifest = Manifest.read(folder)
-        alien = any(one.check == "attributes" for found in wrong.values() for one in found)
+        alien = any(one.check == "attributes" for findings in wrong.values() for one in findings)
         if alien and len(wrong) == len(manifest.shards):  # shards that may be whole would be lost
             yield Repair(
                 MANIFEST_NAME,
@@ -81,8 +81,9 @@ def repair(
             )
             return
         sentences = {
-            name: found[0].sentence + (f" (and {len(found) - 1} more)" if found[1:] else "")
-            for name, found in wrong.items()
+            name: findings[0].sentence
+            + (f" (and {len(findings) - 1} more)" if findings[1:] else "")
+            for name, findings in wrong.items()
         }
         yield from _shards(manifest, sentences, records, folder, jobs, drop_user, on_notice)
         manifest = Manifest.read(folder)
@@ -209,7 +210,7 @@ def _check_whose(path: Path, object_id: str) -> None:
     try:
         with open_shard(path) as shard:
             others = set(shard.object_ids()) - {object_id} if shard.extended else ()
-    except CorruptShard:  # nobody can tell
+    except CorruptShard:  # that is unknown
         return
     if others:
         raise CorruptShard(f"it is a shard of {', '.join(sorted(others))}, with a group 'user'")

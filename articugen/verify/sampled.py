@@ -71,18 +71,18 @@ class Samples:
         return dequantize(points), np.concatenate([self.row.uniform_label, self.row.near_label])
 
 
-def _grids_agree(seen: Samples, _: Recipe) -> Iterator[Share]:
+def _grids_agree(samples: Samples, _: Recipe) -> Iterator[Share]:
     """Check that a query point far from the surface is in a cell whose centre is on its side of it.
 
     Nothing else is sure: a gap or a panel may lie between all centres of a grid, and enclosed space
     may end without a surface.
     """
-    points, label = (_some(each, 8000) for each in seen.queries)
+    points, label = (_some(some, 8000) for some in samples.queries)
     away = np.zeros(len(points), np.bool_)
-    for resolution, grid in sorted(seen.row.occupancy.items()):
-        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(seen.surface)))
+    for resolution, grid in sorted(samples.row.occupancy.items()):
+        reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(samples.surface)))
         close = np.flatnonzero(~away)  # what was away by a wider reach still is
-        away[close] = ~any_within(seen.near_surface, points[close], reach)
+        away[close] = ~any_within(samples.near_surface, points[close], reach)
         for what, judged in (("free", label == FREE), ("occupied", is_material(label))):
             yield _share(
                 what,
@@ -92,21 +92,21 @@ def _grids_agree(seen: Samples, _: Recipe) -> Iterator[Share]:
             )
 
 
-def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
+def _grids_filled(samples: Samples, _: Recipe) -> Iterator[Share]:
     """Voxels of a part lie where other samples are occupied, close by by the same part.
 
     The other way about proves nothing: a thin panel may lie between all voxels' centres.
     """
-    row, (points, label) = seen.row, seen.queries
-    held = is_material(label)
-    occupied = by_cell(np.concatenate([points[label > 0], seen.surface]))
-    solid = np.concatenate([points[held], seen.surface])
-    own = np.concatenate([label[held], row.surface_part + np.uint8(1)])
+    row, (points, label) = samples.row, samples.queries
+    inside = is_material(label)
+    occupied = by_cell(np.concatenate([points[label > 0], samples.surface]))
+    solid = np.concatenate([points[inside], samples.surface])
+    labels = np.concatenate([label[inside], row.surface_part + np.uint8(1)])
     whole = by_cell(solid)
     # in which one of the uniform points lies, but for exp(-6)
     ball = max(ANY_SURFACE, (18.0 / (4.0 * math.pi * max(len(row.uniform_points), 1))) ** (1 / 3))
     for part in range(len(row.part_motion)):
-        of_part = by_cell(solid[own == part + 1])
+        of_part = by_cell(solid[labels == part + 1])
         for resolution, grid in sorted(row.occupancy.items()):
             voxels = _some(np.flatnonzero(grid == part + 1), 400)
             centres = voxel_centres(resolution, voxels)
@@ -125,14 +125,14 @@ def _grids_filled(seen: Samples, _: Recipe) -> Iterator[Share]:
             )
 
 
-def _covered(seen: Samples, _: Recipe) -> Iterator[Share]:
+def _covered(samples: Samples, _: Recipe) -> Iterator[Share]:
     """Check that the centre of a cell that is all inside is inside, and of one that is all free,
     free.
 
     But for films finer than the sub-samples that pass just through the centre.
     """
-    for resolution, coverage in sorted(seen.row.coverage.items()):
-        inside = seen.row.occupancy[resolution] > 0
+    for resolution, coverage in sorted(samples.row.coverage.items()):
+        inside = samples.row.occupancy[resolution] > 0
         for value, wanted in ((255, True), (0, False)):
             yield _share(
                 "coverage",
@@ -142,77 +142,77 @@ def _covered(seen: Samples, _: Recipe) -> Iterator[Share]:
             )
 
 
-def _near(seen: Samples, recipe: Recipe) -> Iterator[Share]:
+def _near(samples: Samples, recipe: Recipe) -> Iterator[Share]:
     """Points near the surface are near the surface points."""
-    if not len(seen.surface):
+    if not len(samples.surface):
         return
-    near = dequantize(_some(seen.row.near_points))
-    reach = max(ANY_SURFACE, _spacing(len(seen.surface))) + 4.0 * float(
+    near = dequantize(_some(samples.row.near_points))
+    reach = max(ANY_SURFACE, _spacing(len(samples.surface))) + 4.0 * float(
         np.max(recipe.sampling.near_sigma)
     )
     yield _share(
         "near",
         "only {share} of near_points are near surface_points",
-        any_within(seen.near_surface, near, reach),
+        any_within(samples.near_surface, near, reach),
     )
 
 
-def _zero_level(seen: Samples, _: Recipe) -> Iterator[Share]:
+def _zero_level(samples: Samples, _: Recipe) -> Iterator[Share]:
     """Just in front of a surface point is free, just behind it occupied.
 
     Unless another part lies in front, whose own surface no view sees: a shut laptop's.
     """
-    row, surface, (points, label) = seen.row, seen.surface, seen.queries
-    nearest = nearest_within(seen.near_surface, points, NEAR)
+    row, surface, (points, label) = samples.row, samples.surface, samples.queries
+    nearest = nearest_within(samples.near_surface, points, NEAR)
     points, label, nearest = points[nearest >= 0], label[nearest >= 0], nearest[nearest >= 0]
     ahead = np.einsum("ni,ni->n", points - surface[nearest], row.surface_normals[nearest] / 127.0)
     beside = np.linalg.norm(points - surface[nearest], axis=1)
     clear = (np.abs(ahead) > OFF_PLANE) & (np.abs(ahead) > STEEPEST * beside)
-    own = row.surface_part[nearest] + 1
-    shown = (ahead < 0.0) | (label == FREE) | (label == own)
+    part = row.surface_part[nearest] + 1
+    shown = (ahead < 0.0) | (label == FREE) | (label == part)
     yield _share(
         "zero level",
-        "surface_points bound what is occupied at {share} of the places one can tell",
+        "surface_points bound what is occupied at {share} of the places that decide it",
         ((label == FREE) == (ahead > 0.0))[clear & shown],
     )
     inside = clear & is_material(label) & (ahead < 0.0)  # thin walls enclose space close by
     yield _share(
         "inner part",
         "surface_part agrees with the labels just inside at {share} of the places",
-        (label == own)[inside],
+        (label == part)[inside],
     )
 
 
-def _partial_parts(seen: Samples, recipe: Recipe) -> Iterator[Share]:
-    row = seen.row
+def _partial_parts(samples: Samples, recipe: Recipe) -> Iterator[Share]:
+    row = samples.row
     wanted = recipe.sampling
-    if wanted.depth_noise > MOST_NOISE or wanted.kinect_metres or not len(seen.surface):
+    if wanted.depth_noise > MOST_NOISE or wanted.kinect_metres or not len(samples.surface):
         return
     partial = dequantize(row.partial_points).reshape(-1, 3)
-    nearest = nearest_within(seen.near_surface, partial, SAME_SURFACE)
-    found = nearest >= 0
+    nearest = nearest_within(samples.near_surface, partial, SAME_SURFACE)
+    is_known = nearest >= 0
     yield _share(
         "partial parts",
         "partial_part agrees with surface_part at {share} of the places",
-        row.partial_part.ravel()[found] == row.surface_part[nearest[found]],
+        row.partial_part.ravel()[is_known] == row.surface_part[nearest[is_known]],
     )
     yield _share(
         "seen",
         "only {share} of partial_points are near surface_points",
-        any_within(seen.near_surface, partial, max(ANY_SURFACE, _spacing(len(seen.surface)))),
+        any_within(samples.near_surface, partial, max(ANY_SURFACE, _spacing(len(samples.surface)))),
     )
 
 
-def flow_shares(seen: Samples, canonical: Samples) -> Iterator[Share]:
+def flow_shares(samples: Samples, canonical: Samples) -> Iterator[Share]:
     """`part_motion` brings each part's surface back to where the canonical pose has something."""
     grids = canonical.row.occupancy
     if not grids or not len(canonical.surface):
         return
     grid = grids[max(grids)]
-    back = invert_rigid(seen.row.part_motion)
+    back = invert_rigid(samples.row.part_motion)
     reach = max(ANY_SURFACE, _spacing(len(canonical.surface)))
     for part in range(1, len(back)):
-        moved = apply(back[part], _some(seen.surface[seen.row.surface_part == part]))
+        moved = apply(back[part], _some(samples.surface[samples.row.surface_part == part]))
         met = any_within(canonical.near_surface, moved, reach)
         met[~met] = (_about(grid, moved[~met]) > 0).any(axis=1)
         yield _share(
@@ -249,7 +249,7 @@ SHARE_CHECKS: dict[str, ShareCheck] = {
 
 
 def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
-    """At most so many of the rows, spread evenly: enough for a share."""
+    """Return at most `most` of the rows, spread evenly: enough for a share."""
     return rows[:: len(rows) // most + 1]
 
 

@@ -12,7 +12,7 @@ from articugen.meshes.crossings import crossings
 
 MOST_CROSSINGS = 1000
 _NO_AREA = 1e-12  # unit frame
-BENEATH = 1e-4  # unit frame: so deep under a face it is decided what lies there
+BENEATH = 1e-4  # unit frame: depth under a face at which it is decided what is there
 
 
 @dataclass(frozen=True)

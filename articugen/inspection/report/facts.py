@@ -1,4 +1,4 @@
-"""What a report tells of a data set, read from its shards in one go, one shard at a time."""
+"""Facts of a data set for its report, read from its shards in one go, one shard at a time."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class JointStates:
 
     @property
     def unit(self) -> str:
-        """The sign behind its states: lengths have none, not all models tell their unit."""
+        """The sign behind its states: lengths have none, not all models state their unit."""
         return "°" if self.kind == JointKind.REVOLUTE else ""
 
 
@@ -90,7 +90,7 @@ class Facts:
 
     @property
     def instances(self) -> int:
-        return sum(len(each.rows) for each in self.objects)
+        return sum(len(one.rows) for one in self.objects)
 
     @property
     def bytes(self) -> int:
@@ -109,7 +109,7 @@ def facts(shards: Sequence[Path]) -> Facts:
             for row, object_id in enumerate(shard.object_ids()):
                 rows.setdefault(object_id, []).append(row)
             small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
-            objects += [_object(shard, name, own, small) for name, own in rows.items()]
+            objects += [_object(shard, name, some, small) for name, some in rows.items()]
             for name, shape in shard.fields.items():
                 before = fields.get(name, ("", 0))[1]
                 written = " × ".join(map(str, shape[1:])) or "1"

@@ -33,7 +33,7 @@ def el(name: str, /, *inside: object, **attributes: object) -> Markup:
 
 def join(*inside: object) -> Markup:
     """Texts and HTML after each other; None is nothing."""
-    return Markup("".join(text(each) for each in inside if each is not None))
+    return Markup("".join(text(piece) for piece in inside if piece is not None))
 
 
 def text(value: object) -> Markup:
@@ -80,8 +80,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], name: str) -> M
 
 
 def folded(title: str, inside: Markup, rows: int) -> Markup:
-    said = f"; the first {MOST_ROWS:,}" if rows > MOST_ROWS else ""
-    return el("details", el("summary", title + said), inside, class_="card")
+    more = f"; the first {MOST_ROWS:,}" if rows > MOST_ROWS else ""
+    return el("details", el("summary", title + more), inside, class_="card")
 
 
 def keys(lines: Iterable[tuple[str, object]], kind: str = "keys") -> Markup:
@@ -100,7 +100,7 @@ def histogram(
 
     Args:
         ends: what is written below the two ends.
-        title: what a reader who sees no picture is told.
+        title: for a reader who sees no picture.
         even: draw the height that bars of evenly spread values have.
     """
     span = high - low if high > low else 1.0

@@ -28,7 +28,7 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 
 OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
 PICTURE = 168  # pixels along an edge of a picture on the sheet
-POOLED = 3  # the points of so many instances make a picture: it is smaller than a sheet's
+POOLED = 3  # instances whose points make a picture: it is smaller than a sheet's
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +77,20 @@ def write_report(
     check_html(html)
     alike = None if beside is None else (beside, likeness(path, beside))
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
-    found = facts(shards)
-    category = str(found.about["category"])
+    about = facts(shards)
+    category = str(about.about["category"])
     drawable = [  # as is known without reading a shard again
-        Chosen(category, each.split, each.object_id, [(each.shard, row) for row in each.rows])
-        for each in found.objects
-        if each.points > 1
+        Chosen(category, one.split, one.object_id, [(one.shard, row) for row in one.rows])
+        for one in about.objects
+        if one.points > 1
     ]
     report = Report(
         path=path,
-        facts=found,
+        facts=about,
         manifest=manifest,
         sheet=portraits(some_of(drawable, objects), states=states, pooling=POOLED, size=PICTURE),
-        turnable=turnable(found.objects),
-        measured=measured(found.objects, manifest),
+        turnable=turnable(about.objects),
+        measured=measured(about.objects, manifest),
         alike=alike,
     )
     data = page(report).encode()
@@ -173,8 +173,8 @@ def check_html(html: Path) -> None:
 
 def _sections(report: Report) -> list[tuple[str, str, Markup]]:
     """Return (name, title, what it says) of each."""
-    found, manifest = report.facts, report.manifest
-    every = found.objects
+    about, manifest = report.facts, report.manifest
+    every = about.objects
     pictures = {p.object_id: list(map(address, p.pictures)) for p in report.sheet}
     turned = report.turnable
     still = pictures.get(turned.object_id, [""])[0] if turned else ""
@@ -183,17 +183,17 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
         picture = address(farthest(report.alike[1]))
         alike = [("likeness", "Likeness", sections.alike(*report.alike, picture))]
     return [
-        ("overview", "Overview", sections.overview(found, manifest)),
+        ("overview", "Overview", sections.overview(about, manifest)),
         ("turn", "Turn it", sections.turning(turned, every, still)),
-        ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, found)),
+        ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, about)),
         ("joints", "Joints", sections.joints(every)),
         ("parts", "Parts", sections.parts(every)),
         ("truth", "Truth", sections.truth(report.measured)),
         *alike,
         ("objects", "Objects", sections.objects(every, manifest)),
         ("left-out", "Left out", sections.left_out(manifest)),
-        ("recipe", "Recipe", sections.recipe(found, manifest)),
-        ("provenance", "Provenance", sections.provenance(found, manifest)),
+        ("recipe", "Recipe", sections.recipe(about, manifest)),
+        ("provenance", "Provenance", sections.provenance(about, manifest)),
     ]
 
 

@@ -33,29 +33,29 @@ from articugen.store.manifest import Manifest, Rejection
 MOST_JOINTS = 24  # joints of one number whose histograms are drawn
 
 
-def header(path: Path, found: Facts, manifest: Manifest | None) -> Markup:
+def header(path: Path, facts: Facts, manifest: Manifest | None) -> Markup:
     """Return the title, and what the page is about in a sentence."""
     where = f" of {path.name}" if path.suffix == ".h5" else ""
     if manifest:
         where = f" from {_source(manifest)}"
-    said = f"{counted(len(found.objects), 'object')} in {counted(found.instances, 'joint state')}"
-    title = el("h1", str(found.about["category"]))
-    return el("header", title, el("p", said + where, class_="lead"))
+    text = f"{counted(len(facts.objects), 'object')} in {counted(facts.instances, 'joint state')}"
+    title = el("h1", str(facts.about["category"]))
+    return el("header", title, el("p", text + where, class_="lead"))
 
 
-def overview(found: Facts, manifest: Manifest | None) -> Markup:
-    splits = Counter(each.split for each in found.objects)
+def overview(facts: Facts, manifest: Manifest | None) -> Markup:
+    splits = Counter(one.split for one in facts.objects)
     per_split = ", ".join(f"{n:,} {split}" for split, n in sorted(splits.items(), reverse=True))
-    joints = sorted({len(each.joints) for each in found.objects})
+    joints = sorted({len(one.joints) for one in facts.objects})
     moving = str(joints[0]) if len(joints) == 1 else f"{joints[0]} to {joints[-1]}"
-    occupied = np.concatenate([each.occupied for each in found.objects])
+    occupied = np.concatenate([one.occupied for one in facts.objects])
     known = occupied[np.isfinite(occupied)]
-    an_object = found.instances / len(found.objects)
+    an_object = facts.instances / len(facts.objects)
     tiles = [
-        ("Objects", f"{len(found.objects):,}", per_split),
-        ("Instances", f"{found.instances:,}", f"{an_object:.0f} an object"),
+        ("Objects", f"{len(facts.objects):,}", per_split),
+        ("Instances", f"{facts.instances:,}", f"{an_object:.0f} an object"),
         ("Moving joints", moving, "an object"),
-        ("Size", size(found.bytes), f"{size(found.bytes / found.instances)} an instance"),
+        ("Size", size(facts.bytes), f"{size(facts.bytes / facts.instances)} an instance"),
     ]
     if len(known):
         spread = f"{known.min():.1%} to {known.max():.1%}"
@@ -128,22 +128,22 @@ def _slider(joint: JointStates, j: int) -> Markup:
 
 
 def sheet(
-    drawn: Sequence[Portraits], pictures: Mapping[str, Sequence[str]], found: Facts
+    drawn: Sequence[Portraits], pictures: Mapping[str, Sequence[str]], facts: Facts
 ) -> Markup:
     if not drawn:
         return hint("No surface points are stored, so there is nothing to draw.")
-    count, total = len(drawn), len(found.objects)
+    count, total = len(drawn), len(facts.objects)
     which = f"{count} of {total:,} objects, chosen evenly" if count < total else "All objects"
     order = f"{which}: the canonical pose first, then random states, the farthest last."
     cards = []
-    for each in drawn:
+    for portraits in drawn:
         figures = []
-        for picture, caption in zip(pictures[each.object_id], each.captions, strict=True):
+        for picture, caption in zip(pictures[portraits.object_id], portraits.captions, strict=True):
             states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
-            alt = f"{each.object_id}, joints at {', '.join(state for state, _ in caption)}"
+            alt = f"{portraits.object_id}, joints at {', '.join(state for state, _ in caption)}"
             image = el("img", src=picture, alt=alt, width="168", height="168")
             figures.append(el("figure", image, el("figcaption", *states)))
-        title = el("h3", each.object_id, el("span", each.split))
+        title = el("h3", portraits.object_id, el("span", portraits.split))
         tiles = el("div", *figures, class_="tiles")
         cards.append(el("article", title, tiles, class_="card object"))
     return join(hint(order), el("div", *cards, class_="sheet"))
@@ -152,8 +152,8 @@ def sheet(
 def joints(objects: Sequence[ObjectFacts]) -> Markup:
     """Return a histogram for each number of a joint, and kind."""
     groups: dict[tuple[int, JointKind], list[JointStates]] = {}
-    for each in objects:
-        for j, joint in enumerate(each.joints):
+    for one in objects:
+        for j, joint in enumerate(one.joints):
             groups.setdefault((j, joint.kind), []).append(joint)
     cards = [_states(j, kind, same) for (j, kind), same in sorted(groups.items())[:MOST_JOINTS]]
     more = len(groups) - len(cards)
@@ -173,14 +173,14 @@ def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
     ends = tuple(spread_text([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
     title = _common(Counter(s.name for s in same if s.name)) or f"joint {j}"
     beyond = int(np.sum((shares < -1e-6) | (shares > 1 + 1e-6)))
-    said = f"{len(shares):,} random states of {counted(len(same), 'object')}"
+    text = f"{len(shares):,} random states of {counted(len(same), 'object')}"
     chart = histogram(
         shares, 0.0, 1.0, (ends[0], ends[1]), colour=colour_of(j + 1), even=True,
-        title=f"{title}: {said}, from {ends[0]} to {ends[1]}",
+        title=f"{title}: {text}, from {ends[0]} to {ends[1]}",
     )  # fmt: skip
     return card(
         el("h3", dot(colour_of(j + 1)), SPACE, title),
-        hint(f"joint {j}, {kind}; {said}"),
+        hint(f"joint {j}, {kind}; {text}"),
         chart,
         el("p", f"{beyond:,} states lie outside of their range", class_="warn") if beyond else None,
     )
@@ -189,8 +189,8 @@ def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
 def parts(objects: Sequence[ObjectFacts]) -> Markup:
     """Return how large each part is, and how much of the unit cube is inside."""
     by_part: dict[int, list[PartSize]] = {}
-    for each in objects:
-        for k, part in enumerate(each.parts):
+    for one in objects:
+        for k, part in enumerate(one.parts):
             by_part.setdefault(k, []).append(part)
     rows, shares = [], []
     for k, same in sorted(by_part.items()):
@@ -203,7 +203,7 @@ def parts(objects: Sequence[ObjectFacts]) -> Markup:
         means = [_mean([getattr(p, name) for p in same]) for name in ("surface", "volume")]
         rows.append([title, f"{len(same):,}", *means, box])
     head = ("Part", ">Objects", ">Surface", ">of the cube", ">Box (median)")
-    occupied = np.concatenate([each.occupied for each in objects])
+    occupied = np.concatenate([one.occupied for one in objects])
     occupied = occupied[np.isfinite(occupied)]
     return el(
         "div",
@@ -223,16 +223,16 @@ def _occupied(shares: np.ndarray) -> Markup:
         100.0 * shares, low, high, (f"{low:.1f} %", f"{high:.1f} %"), colour=colour_of(1),
         title=f"Occupied share of the unit cube, {len(shares):,} instances",
     )  # fmt: skip
-    said = (
+    sentence = (
         f"Share of the unit cube inside of an instance, enclosed space included: "
         f"{shares.mean():.1%} on average over {len(shares):,} instances."
     )
-    return card(el("h3", "Occupied"), hint(said), chart)
+    return card(el("h3", "Occupied"), hint(sentence), chart)
 
 
-def truth(found: Measured) -> Markup:
-    if not found.instances:
-        return hint(f"Not measured. {found.why_not}")
+def truth(measured: Measured) -> Markup:
+    if not measured.instances:
+        return hint(f"Not measured. {measured.why_not}")
     lines = (
         ("uniform", "Material, uniform points (IoU)"),
         ("near", "Material, points near the surface (IoU)"),
@@ -240,26 +240,26 @@ def truth(found: Measured) -> Markup:
         ("surface", "Surface points with their own part right behind"),
     )
     rows = [
-        [title, el("b", f"{found.total(name):.4%}"), f"{found.worst(name):.4%}"]
+        [title, el("b", f"{measured.total(name):.4%}"), f"{measured.worst(name):.4%}"]
         for name, title in lines
     ]
-    objects = len({each.object_id for each in found.instances})
-    said = (
-        f"Stored labels of {counted(len(found.instances), 'instance')} of "
+    objects = len({one.object_id for one in measured.instances})
+    sentence = (
+        f"Stored labels of {counted(len(measured.instances), 'instance')} of "
         f"{counted(objects, 'object')} "
         "against the exact solids that their models were made from, brought to each pose by the "
         "stored motions. Nothing of what made the labels is used."
     )
     return join(
-        hint(said),
+        hint(sentence),
         el("div", table(("", ">All together", ">Worst instance"), rows, "Agreement"),
            class_="card narrow"),
     )  # fmt: skip
 
 
-def alike(other: Path, found: Likeness, picture: str) -> Markup:
+def alike(other: Path, likeness: Likeness, picture: str) -> Markup:
     """Return how alike the objects are to those of another set, and those that are least so."""
-    lines = table(("", ">These", f">{other}"), rows(found), "Likeness")
+    lines = table(("", ">These", f">{other}"), rows(likeness), "Likeness")
     return join(
         hint("Distances are Chamfer distances in the canonical pose, a longest edge is 1; all else "
              "is the median (10 %, 90 %). The pictures are of the others that are farthest from "
@@ -273,21 +273,21 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     """Return a table of all objects, closed at first."""
     entries = {(o.key.split, o.key.object_id): o for o in manifest.objects} if manifest else {}
     rows: list[list[object]] = []
-    for each in every[:MOST_ROWS]:
-        entry = entries.get((each.split, each.object_id))
-        box = " × ".join(f"{side:.3g}" for side in each.box) if np.isfinite(each.box).all() else "–"
+    for one in every[:MOST_ROWS]:
+        entry = entries.get((one.split, one.object_id))
+        box = " × ".join(f"{side:.3g}" for side in one.box) if np.isfinite(one.box).all() else "–"
         rows.append(
-            [each.object_id, each.split, f"{len(each.rows)}", f"{len(each.joints)}", box,
-             _mean([float(each.occupied.mean())]), each.shard.name,
+            [one.object_id, one.split, f"{len(one.rows)}", f"{len(one.joints)}", box,
+             _mean([float(one.occupied.mean())]), one.shard.name,
              el("code", entry.content_sha256[:16]) if entry else "–",
              " ".join(entry.notes) if entry else ""]
         )  # fmt: skip
     head = ("Object", "Split", ">Instances", ">Joints", "Box", ">Occupied", "Shard", "Content",
             "~Notes")  # fmt: skip
     noted = sum(bool(entry.notes) for entry in entries.values())
-    said = f"{noted:,} of {len(every):,} objects have notes from their making."
+    sentence = f"{noted:,} of {len(every):,} objects have notes from their making."
     return join(
-        hint(said) if noted else None,
+        hint(sentence) if noted else None,
         folded(f"All {len(every):,} objects", table(head, rows, "Objects"), len(every)),
     )
 
@@ -300,8 +300,8 @@ def left_out(manifest: Manifest | None) -> Markup:
         ("rejected", manifest.rejected),
         ("skipped", manifest.skipped),
     )
-    rows = [[each.key.object_id, each.key.split, word, each.reason]
-            for word, out in kinds for each in out]  # fmt: skip
+    rows = [[row.key.object_id, row.key.split, word, row.reason]
+            for word, out in kinds for row in out]  # fmt: skip
     if not rows:
         return el("p", "Nothing: every object that was asked for became data.", class_="good")
     counts = ", ".join(f"{len(out):,} {word}" for word, out in kinds if out)
@@ -310,9 +310,9 @@ def left_out(manifest: Manifest | None) -> Markup:
     return join(hint(f"{counts}."), card(listed) if few else folded("All", listed, len(rows)))
 
 
-def recipe(found: Facts, manifest: Manifest | None) -> Markup:
+def recipe(facts: Facts, manifest: Manifest | None) -> Markup:
     """Return every key of the recipe, those of a group under each other."""
-    text = manifest.recipe if manifest else str(found.about["recipe"])
+    text = manifest.recipe if manifest else str(facts.about["recipe"])
     try:
         groups = json.loads(text)
     except ValueError:
@@ -334,8 +334,8 @@ def _plain(value: Any) -> str:
     return {None: "not set", True: "yes", False: "no"}.get(value, str(value))
 
 
-def provenance(found: Facts, manifest: Manifest | None) -> Markup:
-    about = found.about
+def provenance(facts: Facts, manifest: Manifest | None) -> Markup:
+    about = facts.about
     lines: list[tuple[str, object]] = [
         ("Seed", about["seed"]),
         ("Format", f"version {about['schema_version']}"),
@@ -360,8 +360,8 @@ def provenance(found: Facts, manifest: Manifest | None) -> Markup:
         ]  # fmt: skip
     return join(
         card(keys(lines, "keys long")),
-        folded("Fields and their sizes", _fields(found), 99),
-        folded("Shards and their checksums", _shards(found, manifest), 99),
+        folded("Fields and their sizes", _fields(facts), 99),
+        folded("Shards and their checksums", _shards(facts, manifest), 99),
         hint("articugen verify reads every byte and compares it with these.") if manifest else None,
     )
 
@@ -371,20 +371,20 @@ def _source(manifest: Manifest) -> str:
     return Path(manifest.source).name
 
 
-def _fields(found: Facts) -> Markup:
+def _fields(facts: Facts) -> Markup:
     rows = [
-        [el("code", name), shape, size(stored), size(stored / found.instances)]
-        for name, (shape, stored) in sorted(found.fields.items())
+        [el("code", name), shape, size(stored), size(stored / facts.instances)]
+        for name, (shape, stored) in sorted(facts.fields.items())
     ]
-    rest = found.bytes - sum(stored for _, stored in found.fields.values())
+    rest = facts.bytes - sum(stored for _, stored in facts.fields.values())
     rows.append(["index, headers", "", size(rest), ""])
-    each = size(found.bytes / found.instances)
-    rows.append([el("b", "all"), "", el("b", size(found.bytes)), each])
+    per_instance = size(facts.bytes / facts.instances)
+    rows.append([el("b", "all"), "", el("b", size(facts.bytes)), per_instance])
     return table(("Field", "Shape", ">On disk", ">An instance"), rows, "Fields")
 
 
-def _shards(found: Facts, manifest: Manifest | None) -> Markup:
-    rows = [[path.name, "", size(path.stat().st_size), "–"] for path in found.shards]
+def _shards(facts: Facts, manifest: Manifest | None) -> Markup:
+    rows = [[path.name, "", size(path.stat().st_size), "–"] for path in facts.shards]
     if manifest:
         rows = [[s.name, f"{s.instances:,}", size(s.bytes), el("code", s.sha256)]
                 for s in manifest.shards]  # fmt: skip

@@ -59,9 +59,9 @@ def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], across)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    held = _draw_to(at, normals, points.points, points.normals, cells, voxel)
+    drawn = _draw_to(at, normals, points.points, points.normals, cells, voxel)
     used, first, number = np.unique(
-        mesh.faces[held[mesh.faces].all(axis=1)], return_index=True, return_inverse=True
+        mesh.faces[drawn[mesh.faces].all(axis=1)], return_index=True, return_inverse=True
     )
     order = np.argsort(first)
     place = np.empty(len(used), np.int32)
@@ -78,20 +78,20 @@ def _field(points, normals, cells, origin, voxel, spacing, R):
     a face does not go on beyond its edge.
     """
     field = np.full((R, R, R), -REACH)
-    found = np.empty(len(points), np.int64)
+    place = np.empty(len(points), np.int64)
     gap = 0.5 * spacing * spacing
     for i, j, k in np.argwhere(_band(points, origin, voxel, R)):
         x, y, z = origin[0] + i * voxel, origin[1] + j * voxel, origin[2] + k * voxel
-        count = near(cells, points, (x, y, z), REACH * voxel, found)
+        count = near(cells, points, (x, y, z), REACH * voxel, place)
         least = 1e9
         for n in range(count):
-            p = found[n]
+            p = place[n]
             squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
             least = min(least, squared)
         ahead = weight = 0.0
         width = 0.15 * voxel * voxel + 0.1 * least
         for n in range(count):
-            p = found[n]
+            p = place[n]
             dx, dy, dz = x - points[p, 0], y - points[p, 1], z - points[p, 2]
             w = np.exp((least - dx * dx - dy * dy - dz * dz) / width)
             ahead += w * (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2])
@@ -140,15 +140,15 @@ def _solved(a, b):
 @kernel
 def _draw_to(vertices, facing, points, normals, cells, voxel):
     """Move each vertex, in place, to where the planes around it meet; whether it has any, (V,)."""
-    found = np.empty(len(points), np.int64)
-    held = np.zeros(len(vertices), np.bool_)
+    place = np.empty(len(points), np.int64)
+    is_drawn = np.zeros(len(vertices), np.bool_)
     a, b = np.empty((3, 3)), np.empty(3)
     for v in range(len(vertices)):
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        count = near(cells, points, (x, y, z), AROUND * voxel, found)
+        count = near(cells, points, (x, y, z), AROUND * voxel, place)
         nearest, least = -1, 1e9
         for n in range(count):
-            p = found[n]
+            p = place[n]
             alike = facing[v, 0] * normals[p, 0] + facing[v, 1] * normals[p, 1]
             alike += facing[v, 2] * normals[p, 2]
             squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
@@ -156,7 +156,7 @@ def _draw_to(vertices, facing, points, normals, cells, voxel):
                 nearest, least = p, squared
         if nearest < 0:
             continue
-        held[v] = True
+        is_drawn[v] = True
         # the foot of the vertex on the nearest plane is where it stays along what is free
         p = nearest
         ahead = (x - points[p, 0]) * normals[p, 0] + (y - points[p, 1]) * normals[p, 1]
@@ -166,7 +166,7 @@ def _draw_to(vertices, facing, points, normals, cells, voxel):
         b[:] = 0.0
         total = 0.0
         for n in range(count):
-            p = found[n]
+            p = place[n]
             nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
             if facing[v, 0] * nx + facing[v, 1] * ny + facing[v, 2] * nz <= SAME_SIDE:
                 continue
@@ -194,4 +194,4 @@ def _draw_to(vertices, facing, points, normals, cells, voxel):
         vertices[v, 0] = fx + shorter * sx
         vertices[v, 1] = fy + shorter * sy
         vertices[v, 2] = fz + shorter * sz
-    return held
+    return is_drawn

@@ -28,10 +28,10 @@ from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 
 OBJECTS, STATES = 4, 2
-"""So many objects of a data set, in so many instances each, are compared with their solids."""
+"""Objects of a data set, and instances of each, that are compared with their solids."""
 
 SIGHTS = 2000
-"""A place that no solid holds counts as sealed inside of a part where none of so many lines of
+"""A place that no solid holds counts as sealed inside of a part where none of this many lines of
 sight leads out of that part."""
 
 BEHIND = 1e-4
@@ -66,12 +66,12 @@ class Measured:
     def total(self, name: str) -> float:
         """Return the share of "uniform", "near", "part" or "surface", over all instances
         together."""
-        one, other = np.sum([getattr(each, name) for each in self.instances], axis=0)
+        one, other = np.sum([getattr(instance, name) for instance in self.instances], axis=0)
         return float(one / max(other, 1))
 
     def worst(self, name: str) -> float:
         """Return the least share of any instance."""
-        pairs = (getattr(each, name) for each in self.instances)
+        pairs = (getattr(instance, name) for instance in self.instances)
         return min(one / max(other, 1) for one, other in pairs)
 
 
@@ -86,19 +86,19 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
                 (), f"The models of {manifest.source} are not ours: no exact solids are known."
             )
         entries = {(o.key.split, o.key.object_id): o.input_sha256 for o in manifest.objects}
-        found: list[Agreement] = []
+        agreements: list[Agreement] = []
         recipe = Recipe.model_validate_json(manifest.recipe)
-        for each in evenly(objects, OBJECTS):
-            ref = source.find(manifest.category, each.object_id)
+        for about in evenly(objects, OBJECTS):
+            ref = source.find(manifest.category, about.object_id)
             obj = resolved(ref, recipe)
-            if obj.sha256 != entries[each.split, each.object_id]:
+            if obj.sha256 != entries[about.split, about.object_id]:
                 return Measured(
-                    (), f"{each.object_id} is generated otherwise by this version of articugen."
+                    (), f"{about.object_id} is generated otherwise by this version of articugen."
                 )
-            found += _compared(ref, obj, each, recipe)
+            agreements += _compared(ref, obj, about, recipe)
     except (ArticugenError, ValueError) as error:
         return Measured((), f"The models could not be made again: {error}")
-    return Measured(tuple(found))
+    return Measured(tuple(agreements))
 
 
 _Links = dict[str, tuple[int, Floats]]
@@ -106,20 +106,20 @@ _Links = dict[str, tuple[int, Floats]]
 
 
 def _compared(
-    ref: ObjectRef, obj: ResolvedObject, each: ObjectFacts, recipe: Recipe
+    ref: ObjectRef, obj: ResolvedObject, about: ObjectFacts, recipe: Recipe
 ) -> list[Agreement]:
     posed = articulation.forward_kinematics(obj, articulation.canonical_state(obj))
     pairs = zip(obj.part_of_link.tolist(), posed.T_world_link, strict=True)
     links: _Links = dict(zip((link.name for link in obj.links), pairs, strict=True))
-    thickness = recipe.fusion.sheet_thickness * each.scale
+    thickness = recipe.fusion.sheet_thickness * about.scale
     truth = truth_of(
         ref.category, ref.object_id, messy=ref.messy, varied=ref.varied, sheet_thickness=thickness
     )
     parts = np.array([links[name][0] for name in truth.links])
-    alone = [truth.of(parts == part) for part in range(len(each.parts))]
-    rows = np.linspace(0, len(each.rows) - 1, min(STATES, len(each.rows)) + 1)[1:]
-    with open_shard(each.shard) as shard:
-        instances = [shard.instance(each.rows[round(i)]) for i in rows]
+    alone = [truth.of(parts == part) for part in range(len(about.parts))]
+    rows = np.linspace(0, len(about.rows) - 1, min(STATES, len(about.rows)) + 1)[1:]
+    with open_shard(about.shard) as shard:
+        instances = [shard.instance(about.rows[round(i)]) for i in rows]
     return [_agreement(_Scene(links, alone, instance), instance) for instance in instances]
 
 
@@ -141,20 +141,20 @@ class _Scene:
 
     def sealed(self, points: Floats) -> Bools:
         """Return (n,) whether one part alone hides the point from all sides."""
-        found = np.zeros(len(points), np.bool_)
+        is_sealed = np.zeros(len(points), np.bool_)
         world, ways = self.unit.to_world(points), fibonacci_sphere(SIGHTS)
         for truth in self.alone:
-            rest = np.flatnonzero(~found)
-            found[rest] = truth.enclosed(world[rest], ways, self.T_world_link)
-        return found
+            rest = np.flatnonzero(~is_sealed)
+            is_sealed[rest] = truth.enclosed(world[rest], ways, self.T_world_link)
+        return is_sealed
 
 
-def _agreement(scene: _Scene, made: Instance) -> Agreement:
+def _agreement(scene: _Scene, instance: Instance) -> Agreement:
     pairs: dict[str, tuple[int, int]] = {}
-    right = asked = 0
+    right = judged = 0
     for kind, stored, label in (
-        ("uniform", made.uniform_points, made.uniform_label),
-        ("near", made.near_points, made.near_label),
+        ("uniform", instance.uniform_points, instance.uniform_label),
+        ("near", instance.near_points, instance.near_label),
     ):
         points, ours = dequantize(stored), is_material(label)
         holds = scene.holds(points)
@@ -162,11 +162,15 @@ def _agreement(scene: _Scene, made: Instance) -> Agreement:
         exact[~exact] = scene.sealed(points[~exact])
         pairs[kind] = (int((ours & exact).sum()), int((ours | exact).sum()))
         one = (holds.sum(axis=1) == 1) & ours
-        asked += int(one.sum())
+        judged += int(one.sum())
         right += int(np.sum(label[one] == holds[one].argmax(axis=1) + 1))
-    normals = made.surface_normals / 127.0
-    behind = scene.holds(dequantize(made.surface_points) - BEHIND * normals)
-    own = int(behind[np.arange(len(behind)), made.surface_part].sum())
+    normals = instance.surface_normals / 127.0
+    behind = scene.holds(dequantize(instance.surface_points) - BEHIND * normals)
+    by_part = int(behind[np.arange(len(behind)), instance.surface_part].sum())
     return Agreement(
-        made.object_id, made.state_index, part=(right, asked), surface=(own, len(behind)), **pairs
+        instance.object_id,
+        instance.state_index,
+        part=(right, judged),
+        surface=(by_part, len(behind)),
+        **pairs,
     )

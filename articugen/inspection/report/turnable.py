@@ -25,8 +25,8 @@ from articugen.pictures.surfels import OrientedPoints
 from articugen.store.shards import open_shard
 
 VOXEL = 1 / 112  # of the unit frame: what is finer is not drawn; coarser where points are sparse
-POOLED = 20  # the points of so many instances make the surface, or of all that there are
-SPARSE = 1.3  # a voxel is no smaller than so many spacings of the points
+POOLED = 20  # instances whose points make the surface, or all that there are
+SPARSE = 1.3  # a voxel is no smaller than this many spacings of the points
 FEWEST = 50  # points that a part needs to be drawn
 
 
@@ -46,10 +46,10 @@ class Turnable:
 
 def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     """Show the first object of those with the most joints; None where no surface is stored."""
-    shown = [each for each in objects if each.points >= FEWEST]
+    shown = [one for one in objects if one.points >= FEWEST]
     if not shown:
         return None
-    chosen = max(shown, key=lambda each: len(each.joints))
+    chosen = max(shown, key=lambda one: len(one.joints))
     with open_shard(chosen.shard) as shard:
         instances = [shard.instance(row) for row in evenly(chosen.rows, POOLED)]
     first = instances[0]

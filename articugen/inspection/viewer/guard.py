@@ -66,7 +66,7 @@ def refusal(host: str, address: str, headers: Any) -> str:
     """Return the sentence that says why a request is not answered; "" where it is.
 
     Args:
-        host: where the server was told to listen.
+        host: where the server listens.
         address: where this request came in.
         headers: of the request.
     """
@@ -81,11 +81,11 @@ def refusal(host: str, address: str, headers: Any) -> str:
     return ""
 
 
-def _leads_here(asked: str, host: str, address: str) -> bool:
+def _leads_here(header: str, host: str, address: str) -> bool:
     """Return whether a Host header names this server. Its port may be another's, that of a
     tunnel."""
     try:
-        name = urlsplit(f"//{asked}").hostname or ""
+        name = urlsplit(f"//{header}").hostname or ""
     except ValueError:
         return False
     if name in LOOPBACK_NAMES | {host.lower(), address}:

@@ -19,12 +19,12 @@ from articugen.pictures.portrait import oriented_points
 
 INK, FREE_COLOUR, ENCLOSED_COLOUR = "#333333", "#7fb4e6", "#5f5f5f"
 
-NORMAL_LENGTH, NORMALS = 0.02, 2048  # unit frame; so many of an instance's points get one
+NORMAL_LENGTH, NORMALS = 0.02, 2048  # unit frame; how many of an instance's points get one
 AXIS_REACH, ARROW = 0.32, 0.03
 """From the pivot to either end of an axis, and the length of its head, unit frame."""
 
 FRUSTUM = 0.2  # from a camera's eye to the picture that is drawn before it, unit frame
-FULL = 0.75  # spacings that a surface point is wide, so that what lies behind hardly shows through
+FULL = 0.75  # spacings that a surface point is wide, so that points behind hardly show through
 QUERY = 0.008  # a query point's diameter, unit frame
 _LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
 _SHADE = 0.45  # of a colour, by how its surface faces the light

@@ -1,6 +1,6 @@
 """The controls: an object, a state or a slider for each joint, and what is drawn of it.
 
-They note what is wished for and show what they are told; who does it is `session`.
+They note what is wished for and show what they get; who does it is `session`.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ class Wish:
     object_id: of whom.
     q: (J,) joint values, rad or m; None for a state a little open.
     layers: what is drawn of it.
-    resolution: of the occupancy grid; 0 for whichever is easily looked at.
+    resolution: of the occupancy grid; 0 for whichever is easily seen.
     """
 
     object_id: str
@@ -91,8 +91,8 @@ class Panel:
             slider.value = Scale.of(joint).shown(joint, float(value))
         self._state.value = BETWEEN if state is None else words.state_of(state)
 
-    def say(self, said: Markup) -> None:
-        self._said.content = str(said)  # viser sends no subclass of str
+    def say(self, text: Markup) -> None:
+        self._said.content = str(text)  # viser sends no subclass of str
 
     def name_parts(self, legend: Markup) -> None:
         self._legend.content = str(legend)
@@ -159,7 +159,7 @@ class Panel:
                 return wish
             q = np.array(self._shown.states[self._shown.ajar] if wish.q is None else wish.q)
             if scale.shown(joint, float(q[j])) == value:
-                return wish  # a window tells back what it was told, rounded
+                return wish  # a window returns what it got, rounded
             q[j] = scale.meant(joint, value)
             return replace(wish, q=q)
 

@@ -1,4 +1,4 @@
-"""A server of one's own machine that shows a source."""
+"""A server for this machine alone that shows a source."""
 
 import contextlib
 import io
@@ -67,5 +67,5 @@ def _server(host: str, port: int | None) -> "viser.ViserServer":
         cure = "another --host" if port is None else "another --port, or none for the next free one"
         raise ArticugenError(f"{where}: cannot listen there ({reason}); give {cure}") from None
     port = PORT if port is None else port
-    with contextlib.redirect_stdout(io.StringIO()):  # where it listens is said by the command
+    with contextlib.redirect_stdout(io.StringIO()):  # the command says where it listens
         return guarded(host, lambda: viser.ViserServer(host=host, port=port, verbose=False))

@@ -99,12 +99,12 @@ class Session:
         opened = self._shown is None or self._shown.object_id != wish.object_id
         shown = self._open(wish.object_id) if opened else self._shown
         assert shown is not None
-        said = self._look(shown, wish)
+        text = self._look(shown, wish)
         self._draw(shown, wish)
         if opened and shown.maker is not None:
-            self._panel.say(join(said, words.busy("getting ready for the sliders …")))
+            self._panel.say(join(text, words.busy("getting ready for the sliders …")))
             shown.get_ready()
-        self._panel.say(said)
+        self._panel.say(text)
 
     def _open(self, object_id: str) -> Shown:
         self._shown, self.seen = None, None

@@ -43,7 +43,7 @@ class Joint:
 
     @property
     def per_unit(self) -> float:
-        """Radians in a degree; lengths are those of the model, which may not tell its unit."""
+        """Radians in a degree; lengths are those of the model, which may not state its unit."""
         return 1.0 if self.kind == JointKind.PRISMATIC else float(np.radians(1.0))
 
 
@@ -73,7 +73,7 @@ class Shown:
         split: "train" or "test"; "" where it is in no data set.
         joints: those that move, in part order.
         states: (n, J) the joint values of the states that there are, rad or m; 0 is canonical.
-        maker: makes it at any other state; None where its source is not at hand.
+        maker: makes it at any other state; None where its source is not there.
         why: the sentence that says so; "" where it is.
         image_size: pixels along the edge of what its depth cameras see.
     """
@@ -118,10 +118,10 @@ class Shown:
             return self._nearest_to(q, self.why)
         drivers = zip(self.joints, q.tolist(), strict=True)
         try:
-            made = self.maker.at({joint.name: v for joint, v in drivers if not joint.follows})
+            instance = self.maker.at({joint.name: v for joint, v in drivers if not joint.follows})
         except InvalidArgument as error:  # few states span a frame that others stick out of
             return self._nearest_to(q, str(error))
-        return Seen(made.instance, np.array(list(made.state.values())), None)
+        return Seen(instance.instance, np.array(list(instance.state.values())), None)
 
     def _nearest_to(self, q: Floats, why: str) -> Seen:
         near = self.nearest(q)
@@ -141,7 +141,7 @@ class Shown:
     @cached_property
     def part_meshes(self) -> tuple[Mesh, ...]:
         """Return a mesh of each part in the canonical pose, unit frame: its own solid's surface;
-        from the finest stored grid where the source is not at hand; empty where that holds nothing
+        from the finest stored grid where the source is not there; empty where that holds nothing
         of it.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What can be looked at: a shard, a data set, a model or a folder of models."""
+"""Sources of the viewer: a shard, a data set, a model or a folder of models."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -22,7 +22,7 @@ from articugen.store.shards import open_shard
 
 
 class Source(Protocol):
-    """Objects to look at.
+    """Objects to view.
 
     Attributes:
         title: where they come from.
@@ -156,7 +156,7 @@ def source_of(
     """
     place = Path(path)
     patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
-    if place.suffix == ".h5" or any(found for pattern in patterns for found in place.glob(pattern)):
+    if place.suffix == ".h5" or any(match for pattern in patterns for match in place.glob(pattern)):
         return StoredObjects(open_data_set(place))
     if not place.exists() and path not in source_files():
         raise InvalidSource(

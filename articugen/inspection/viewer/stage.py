@@ -55,18 +55,18 @@ class Stage:
         from viser.transforms import SO3  # noqa: PLC0415 - optional
 
         before = self._layers.pop(layer, [])
-        shown = [each for each in drawn if _holds_anything(each)]
+        shown = [one for one in drawn if _holds_anything(one)]
         with self._server.atomic():
             if _only_moved([old for old, _ in before], shown):
                 handles = [handle for _, handle in before]
             else:
                 for _, handle in before:
                     handle.remove()
-                handles = [self._add(f"/{layer}/{n}", each) for n, each in enumerate(shown)]
-            for handle, each in zip(handles, shown, strict=True):
-                if isinstance(each, Solid):
-                    handle.position = each.T[:3, 3]
-                    handle.wxyz = SO3.from_matrix(each.T[:3, :3]).wxyz
+                handles = [self._add(f"/{layer}/{n}", one) for n, one in enumerate(shown)]
+            for handle, one in zip(handles, shown, strict=True):
+                if isinstance(one, Solid):
+                    handle.position = one.T[:3, 3]
+                    handle.wxyz = SO3.from_matrix(one.T[:3, :3]).wxyz
         self._layers[layer] = list(zip(shown, handles, strict=True))
 
     def _add(self, name: str, drawn: Drawn) -> Any:

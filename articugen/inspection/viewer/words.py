@@ -91,19 +91,19 @@ def heading(title: str, count: int) -> Markup:
     return _page(el("b", title), el("br"), counted(count, "object"))
 
 
-def said_of(shown: Shown, seen: Seen, seconds: float) -> Markup:
+def said_of(shown: Shown, view: Seen, seconds: float) -> Markup:
     """Return a line on where the object comes from."""
-    state = seen.instance.state_index
-    if not seen.asked:
+    state = view.instance.state_index
+    if not view.asked:
         text = f"state {state}, the nearest {'that is stored' if shown.split else 'that there is'}"
-    elif seen.state is None:
+    elif view.state is None:
         text = f"made for these joint values in {seconds:.2f} s"
     elif shown.split:
         text = f"state {state}, as it is stored"
     else:
         text = f"state {state}, made in {seconds:.2f} s"
     split = f"{shown.split} object, " if shown.split else ""
-    why = shown.why or seen.why
+    why = shown.why or view.why
     nearest = warning(f"The sliders show the nearest state: {why}.") if why else None
     return join(_page(split + text), nearest)
 
@@ -120,14 +120,16 @@ def legend(instance: Instance) -> Markup:
     """Return the parts, each with its colour."""
     lines = []
     for k in range(len(instance.part_motion)):
-        own = (names[k] for names in (instance.part_name, instance.part_semantic) if names)
-        said = ", ".join(dict.fromkeys(shortened(name) for name in own if name))
+        names_of_part = (
+            names[k] for names in (instance.part_name, instance.part_semantic) if names
+        )
+        text = ", ".join(dict.fromkeys(shortened(name) for name in names_of_part if name))
         dot = el(
             "span",
             style=f"display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:"
             f".5em;border:1px solid #0003;background:{colour_of(k)}",
         )
-        lines.append(el("div", dot, f"part {k}" + (f": {said}" if said else "")))
+        lines.append(el("div", dot, f"part {k}" + (f": {text}" if text else "")))
     return _page(*lines)
 
 

@@ -25,12 +25,12 @@ from articugen.store.outcome import Outcome
 
 CONNECT_SECONDS = 20.0
 WIDTH_SECONDS = 2.0
-"""Between two looks at how many workers there are."""
+"""Seconds between two counts of the workers."""
 RETRIES = 2
 """Of a task that says its machine is at fault: others may do better."""
 
 _IN_FLIGHT = 4
-"""Tasks that the scheduler has been told of, a thread: it need not remember a million."""
+"""Tasks that the scheduler knows of, a thread: it need not remember a million."""
 
 
 @dataclass(frozen=True)

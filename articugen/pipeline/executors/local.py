@@ -16,7 +16,7 @@ from articugen.store.outcome import Outcome
 
 @dataclass(frozen=True)
 class Local(Executor):
-    """So many worker processes; with 0, this one."""
+    """Worker processes; with 0, this one."""
 
     jobs: int
     is_here = True

@@ -42,7 +42,7 @@ IN_VAIN = 3
 _REQUEUES = 100
 """Of one task at its limit of time."""
 _NOTICE_SECONDS = 30
-"""Before the limit of time a task is told of it, and queues again; SLURM may be a minute early."""
+"""Before the limit of time a task gets a signal, and queues again; SLURM may be a minute early."""
 _LEAST_MINUTES = 5
 _LOGS = ".articugen-slurm"
 
@@ -55,7 +55,7 @@ class Array:
 
     Attributes:
         partition: "" for the default one.
-        tasks: at most so many at a time.
+        tasks: the most at a time.
         cpus: cores of each.
         time: minutes after which a task is queued again.
         others: further options of sbatch: account, qos, mem.
@@ -73,11 +73,11 @@ class Array:
         slurm://partition?tasks=100&cpus=4&time=60."""
         parts = urlsplit(address if "://" in address else f"{address}://")
         try:
-            said = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True))
-            numbers = {n: int(said.pop(n)) for n in ("tasks", "cpus", "time") if n in said}
+            values = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True))
+            numbers = {n: int(values.pop(n)) for n in ("tasks", "cpus", "time") if n in values}
         except ValueError:
-            numbers, said = {"tasks": 0}, {}
-        array = Array(parts.netloc, **numbers, others=said)
+            numbers, values = {"tasks": 0}, {}
+        array = Array(parts.netloc, **numbers, others=values)
         if parts.path or min(array.tasks, array.cpus) < 1 or array.time < _LEAST_MINUTES:
             raise InvalidArgument(
                 f"{address}: {_LIKE}; time is in minutes, {_LEAST_MINUTES} or more"
@@ -147,12 +147,12 @@ class Slurm(Executor):
                         if number is not None:
                             yield Ended(number, outcome)
                     time.sleep(0.0 if is_over else POLL_SECONDS)
-                said = _sentence_of(submitted)
+                sentence = _sentence_of(submitted)
                 in_vain = 0 if len(missing) < before else in_vain + 1
                 if in_vain == IN_VAIN:
                     raise MachineFault(
                         f"{job.out}: {in_vain} arrays, one after the other, have ended and "
-                        f"made nothing{said}; {len(missing)} of {work.objects} objects are "
+                        f"made nothing{sentence}; {len(missing)} of {work.objects} objects are "
                         f"missing, logs are in {job.folder / _LOGS}"
                     )
         shutil.rmtree(job.folder / _LOGS, ignore_errors=True)
@@ -242,13 +242,13 @@ class _Queue:
 def _sentence_of(tasks: Iterable[Any]) -> str:
     """Return what ended a task of an array that is over, where a machine was at fault and it could
     say so; ArticugenError where no object can be made."""
-    said = ""
+    sentence = ""
     for task in tasks:
         error = task.result() if task.paths.result_pickle.exists() else None
         if error is not None and not isinstance(error, MachineFault):
             raise error
-        said = f" ({error})" if error else said
-    return said
+        sentence = f" ({error})" if error else sentence
+    return sentence
 
 
 def _submitit() -> Any:

@@ -28,7 +28,7 @@ class Work:
     Attributes:
         job: what the tasks are of.
         objects: of the whole data set.
-        check: looks at each shard before it gets its name.
+        check: examines each shard before it gets its name.
         handles: open files that keep other runs out as long as anybody holds them.
         claim: the run's name and the seconds that its claims hold, where objects are claimed: in a
             store.
@@ -151,7 +151,7 @@ class Executor(Protocol):
         """
 
     def width(self, tasks: int) -> int:
-        """Return how many of so many tasks are worked on at the same time."""
+        """Return how many of `tasks` tasks are worked on at the same time."""
         ...
 
     def ends(

@@ -161,7 +161,7 @@ def _examined(archive: Archive, path: Path) -> dict[PurePosixPath, int]:
     most_bytes = max(_ALWAYS_BYTES, MAX_RATIO * packed)
     most_names = min(MAX_FILES, _ALWAYS_FILES + packed // MAX_DENSITY)
     sizes: dict[PurePosixPath, int] = {}
-    folders: set[PurePosixPath] = set()  # those too that only the names of files tell of
+    folders: set[PurePosixPath] = set()  # those too that only the names of files imply
     total = 0
     for count, (name, entry) in enumerate(_named(archive, path), 1):
         if not entry.folder and name.parts:

@@ -49,26 +49,28 @@ class Document(Check):
         self.world = worlds[0]
         self.world.set("name", "world")
         self.world.extend([child for other in worlds[1:] for child in other])
-        for made in root.iter(*_MADE):
-            raise self.refuse(made, f"<{made.tag}> is not read; save the model with MuJoCo first")
+        for generated in root.iter(*_MADE):
+            raise self.refuse(
+                generated, f"<{generated.tag}> is not read; save the model with MuJoCo first"
+            )
         for tag, most in _MOST.items():
             self.count(list(root.iter(tag)), f"<{tag}>", most)
-        said: dict[str, str] = {"angle": "degree", "eulerseq": "xyz", "coordinate": "local"}
+        settings: dict[str, str] = {"angle": "degree", "eulerseq": "xyz", "coordinate": "local"}
         for compiler in root.findall("compiler"):
             folder = compiler.get("assetdir")
-            said |= ({"meshdir": folder} if folder else {}) | dict(compiler.attrib)
-        if said["coordinate"] != "local" or said["angle"] not in ("degree", "radian"):
+            settings |= ({"meshdir": folder} if folder else {}) | dict(compiler.attrib)
+        if settings["coordinate"] != "local" or settings["angle"] not in ("degree", "radian"):
             raise InvalidSource(f"{path}: has angles or coordinates that no MuJoCo has; correct it")
-        self.unit = pi / 180.0 if said["angle"] == "degree" else 1.0
-        self.eulerseq = said["eulerseq"]
+        self.unit = pi / 180.0 if settings["angle"] == "degree" else 1.0
+        self.eulerseq = settings["eulerseq"]
         if len(self.eulerseq) != 3 or set(self.eulerseq.lower()) - set("xyz"):
             raise InvalidSource(f"{path}: its eulerseq is not three of xyz; correct it")
-        self.autolimits = said.get("autolimits") != "false"
+        self.autolimits = settings.get("autolimits") != "false"
         for mesh in root.iterfind("asset/mesh[@file]"):
             file = PurePosixPath(mesh.get("file").replace("\\", "/"))
             mesh.set("name", mesh.get("name") or file.stem)
-            file = file.name if said.get("strippath") == "true" else file
-            mesh.set("file", str(PurePosixPath(said.get("meshdir", ""), file)))
+            file = file.name if settings.get("strippath") == "true" else file
+            mesh.set("file", str(PurePosixPath(settings.get("meshdir", ""), file)))
         self._write_defaults()
 
     def _include(self, files: ModelFiles) -> None:
@@ -76,17 +78,17 @@ class Document(Check):
         done, total = {self.path.resolve()}, 0
         while (element := self.root.find(".//include")) is not None:
             name = element.get("file", "").replace("\\", "/")
-            found = files.find(name, str(self.path))
-            if found is None or found in done:
-                what = "is included a second time" if found else "does not exist"
+            place = files.find(name, str(self.path))
+            if place is None or place in done:
+                what = "is included a second time" if place else "does not exist"
                 raise InvalidSource(f"{self.path}: {quoted(name)} {what}; remove the <include>")
-            data = files.read(found, MAX_TEXT_BYTES)
+            data = files.read(place, MAX_TEXT_BYTES)
             total += len(data)
             if total > MAX_TEXT_BYTES:
-                raise InvalidSource(f"{found}: all files included are too large; simplify them")
-            done.add(found)
+                raise InvalidSource(f"{place}: all files included are too large; simplify them")
+            done.add(place)
             above, at = element.getparent(), element.getparent().index(element)
-            above[at : at + 1] = list(parse_xml(data, found))
+            above[at : at + 1] = list(parse_xml(data, place))
 
     def _write_defaults(self) -> None:
         """Give geoms, joints and meshes the attributes of their class that they lack."""
@@ -98,9 +100,9 @@ class Document(Check):
             name = element.get("class", "") if above.tag == "default" else "main"
             if not name or (name in classes) != (name == "main"):
                 raise self.refuse(element, f"a second default class {quoted(name)}; rename it")
-            own = classes[name] = dict(classes[above.get("class", "main")])
+            defaults = classes[name] = dict(classes[above.get("class", "main")])
             for child in (child for tag in _OF_CLASSES for child in element.findall(tag)):
-                own[child.tag] = merged = _merged(own[child.tag], child)
+                defaults[child.tag] = merged = _merged(defaults[child.tag], child)
                 if max(map(len, merged.values()), default=0) > MAX_LETTERS:
                     raise self.refuse(child, "has an endless attribute; correct it")
         class_of = {None: "main"}
@@ -117,10 +119,12 @@ class Document(Check):
 def _merged(defaults: Mapping[str, str], element: Any) -> dict[str, str]:
     """Return the attributes that count, an element's own first; of a size the numbers that are
     missing are the class's."""
-    own = {key: element.get(key) for key in _OF_CLASSES[element.tag] if key in element.attrib}
-    turned = TURNS if own.keys() & {"quat", *TURNS} else ()
-    merged = {key: value for key, value in defaults.items() if key not in turned} | own
-    words = own.get("size", "").split()
+    attributes = {
+        key: element.get(key) for key in _OF_CLASSES[element.tag] if key in element.attrib
+    }
+    turned = TURNS if attributes.keys() & {"quat", *TURNS} else ()
+    merged = {key: value for key, value in defaults.items() if key not in turned} | attributes
+    words = attributes.get("size", "").split()
     if words and "size" in defaults:
         merged["size"] = " ".join(words + defaults["size"].split()[len(words) :])
     return merged

@@ -77,10 +77,10 @@ class Model:
         return self._within[parent]
 
     def _by_body(self, *tags: str) -> dict[Any, list[Any]]:
-        found: dict[Any, list[Any]] = {}
+        elements: dict[Any, list[Any]] = {}
         for element in self._document.world.iter(*tags):
-            found.setdefault(self._frame_of(element)[0], []).append(element)
-        return found
+            elements.setdefault(self._frame_of(element)[0], []).append(element)
+        return elements
 
     def _name(self, tag: str, name: str) -> str:
         """Return `name`, or one like it where a body or joint has that."""
@@ -109,19 +109,19 @@ class Model:
         if len(moving) < len(joints):
             self.notes.append(f"{name}: moves freely, taken as fixed where it stands")
         if not moving:
-            own, x = self._name("joint", name), np.array([1.0, 0.0, 0.0])
-            self.joints.append(Joint(own, JointKind.FIXED, above, name, T, x))
+            joint_name, x = self._name("joint", name), np.array([1.0, 0.0, 0.0])
+            self.joints.append(Joint(joint_name, JointKind.FIXED, above, name, T, x))
         at = np.zeros(3)
         for joint in moving:
-            own = joint.get("name") or self._name("joint", name)
-            child = name if joint is moving[-1] else self._name("body", own)
+            joint_name = joint.get("name") or self._name("joint", name)
+            child = name if joint is moving[-1] else self._name("body", joint_name)
             kind, lower, upper, rest = self._reach(joint)
             pivot, axis = self._line(joint)
             back = transform(translation=-rest * axis)
             if kind != JointKind.PRISMATIC:
                 back = transform(rotation_about(axis, -rest))
             T = product(T, transform(translation=pivot - at), back)
-            self.joints.append(Joint(own, kind, above, child, T, axis, lower, upper))
+            self.joints.append(Joint(joint_name, kind, above, child, T, axis, lower, upper))
             self.links[child] = joined(())
             above, at, T = child, pivot, np.eye(4)
         return name, at

@@ -15,10 +15,10 @@ _AXES = dict(zip("xyz", np.eye(3), strict=True))
 def place(element: Any, document: Document) -> Floats:
     """Return (4, 4) `T_parent_element`, by the element's pos and whatever says how it is turned."""
     at = document.numbers(element, "pos", (3,), "0 0 0")
-    given = [name for name in TURNS if element.get(name) is not None]
-    if len(given) > 1:
-        raise document.refuse(element, f"has {' and '.join(given)}; keep one")
-    name = given[0] if given else "quat"
+    turns = [name for name in TURNS if element.get(name) is not None]
+    if len(turns) > 1:
+        raise document.refuse(element, f"has {' and '.join(turns)}; keep one")
+    name = turns[0] if turns else "quat"
     if name == "quat":
         return transform(quaternion(element, name, document), at)
     count = {"axisangle": 4, "xyaxes": 6}.get(name, 3)

@@ -24,7 +24,7 @@ SECONDS = 300  # by the clock, for one model
 MEGABYTES = 6_000  # half a thousand of which OpenUSD takes by itself
 
 _OURS = ("PXR_", "USD_", "SDF_", "PCP_", "TF_", "USDC_")
-"""Variables by which OpenUSD is told of plugins and folders of the user's."""
+"""Variables by which OpenUSD finds plugins and folders of the user's."""
 
 
 def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> model.Model:
@@ -40,7 +40,7 @@ def digest_apart(path: Path, root: Path) -> str:
 
 
 def _apart(function: Callable[[Path], T], path: Path) -> T:
-    # a package that somebody has put None in the place of has no spec either
+    # a package that somebody has replaced by None has no spec either
     if sys.modules.get("pxr", sys) is None or find_spec("pxr") is None:
         raise InvalidSource(
             f"{path}: is USD, and usd-core, which reads it, is not installed; run: "

@@ -93,10 +93,10 @@ class Layers:
                 raise InvalidSource(f"{where} is not in the package; pack it again")
             return Place(by.file, inside)
         inside = os.path.relpath(by.file.parent / name, self._files.folder)
-        found = self._files.find(inside, str(by.file))
-        if found is None:
+        place = self._files.find(inside, str(by.file))
+        if place is None:
             raise InvalidSource(f"{where} is missing; put it there")
-        return self._first_of(found)
+        return self._first_of(place)
 
     def _first_of(self, file: Path) -> Place:
         """Return the layer that a file is, or the first one of a package."""
@@ -124,7 +124,7 @@ def plainly(text: str) -> str:
 
 
 def _refuse_clips(layer: Any, place: Place) -> None:
-    """Value clips name layers too, and not among the dependencies that a layer tells."""
+    """Value clips name layers too, and not among the dependencies that a layer lists."""
 
     def look(path: Any) -> None:
         if not (path.IsPrimPath() or path.IsPrimVariantSelectionPath()):

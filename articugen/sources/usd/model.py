@@ -73,8 +73,8 @@ def _stage(layers: Layers, path: Path) -> Any:
         ) from None
     faults = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else ()
     if faults:
-        said = sorted(plainly(str(fault)) for fault in faults)[0]
-        raise InvalidSource(f"{path}: its layers do not fit together ({said}); export it again")
+        text = sorted(plainly(str(fault)) for fault in faults)[0]
+        raise InvalidSource(f"{path}: its layers do not fit together ({text}); export it again")
     return stage
 
 
@@ -97,29 +97,29 @@ class _Reading:
         self._notes: list[str] = []
 
     def model(self, sha256: str) -> Model:
-        found = self._found()
-        self._check(found)
-        numbers = {prim.GetPath(): k for k, prim in enumerate(found.bodies, 1)}
+        contents = self._found()
+        self._check(contents)
+        numbers = {prim.GetPath(): k for k, prim in enumerate(contents.bodies, 1)}
         (UsdGeom,) = pxr("UsdGeom")
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
-            self._notes.append("does not tell its unit: taken as centimetres, as USD has it")
+            self._notes.append("does not state its unit: taken as centimetres, as USD has it")
         metres = float(UsdGeom.GetStageMetersPerUnit(self._stage))
         if not 1e-9 <= metres <= 1e6:
             raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
         up = _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
         physics = Stage(str(self._path), self._places, numbers, up, metres)
-        read = [(prim, read_joint(prim, physics)) for prim in found.joints]
+        read = [(prim, read_joint(prim, physics)) for prim in contents.joints]
         joints = [(prim, joint) for prim, joint in read if joint is not None]
-        names = self._names([None, *found.bodies])
+        names = self._names([None, *contents.bodies])
         tree = Tree(
             str(self._path),
             names,
             [joint for _, joint in joints],
             self._names([prim for prim, _ in joints]),
-            _holders(found.bodies, [joint for _, joint in joints]),
+            _holders(contents.bodies, [joint for _, joint in joints]),
         )
-        meshes = self._meshes(found, physics, tree.origins)
-        self._note_what_is_left_out(found)
+        meshes = self._meshes(contents, physics, tree.origins)
+        self._note_what_is_left_out(contents)
         return Model(
             tuple(zip(names, meshes, strict=True)),
             tuple(tree.joints),
@@ -129,15 +129,15 @@ class _Reading:
 
     def _found(self) -> _Found:
         (UsdPhysics,) = pxr("UsdPhysics")
-        found = _Found()
+        contents = _Found()
         for prim in self._prims():
             if prim.IsA(UsdPhysics.Joint):
-                found.joints.append(prim)
+                contents.joints.append(prim)
             elif self._shapes.shown(prim):
-                found.shapes.append(prim)
+                contents.shapes.append(prim)
             if prim.HasAPI(UsdPhysics.RigidBodyAPI) and body_of(prim) == prim:
-                found.bodies.append(prim)
-        return found
+                contents.bodies.append(prim)
+        return contents
 
     def _prims(self) -> Iterator[Any]:
         """Yield the prims of the default prim, where the file names one; shared instances once
@@ -151,13 +151,13 @@ class _Reading:
                 raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
             yield prim
 
-    def _check(self, found: _Found) -> None:
-        for what, prims in (("rigid bodies", found.bodies), ("joints", found.joints)):
+    def _check(self, contents: _Found) -> None:
+        for what, prims in (("rigid bodies", contents.bodies), ("joints", contents.joints)):
             if len(prims) >= MAX_LINKS:
                 raise InvalidSource(
                     f"{self._path}: has more than {MAX_LINKS:,} {what}; simplify it"
                 )
-        if not found.shapes:
+        if not contents.shapes:
             raise InvalidSource(
                 f"{self._path}: shows no shape; add meshes, or name the file that has the whole "
                 "model"
@@ -171,31 +171,33 @@ class _Reading:
         taken = {_WORLD_NAME, *(name for name in plain if count[name] == 1)}
         names: list[str] = []
         for prim, name in zip(prims, plain, strict=True):
-            own = name
+            unique = name
             if prim and (count[name] > 1 or name == _WORLD_NAME):
-                own = ".".join(str(prim.GetPath()).split("/")[2:]) or prim.GetName()
-                while own in taken:
-                    own += "~"
-                taken.add(own)
-            if len(own.encode()) > MAX_NAME_BYTES:
+                unique = ".".join(str(prim.GetPath()).split("/")[2:]) or prim.GetName()
+                while unique in taken:
+                    unique += "~"
+                taken.add(unique)
+            if len(unique.encode()) > MAX_NAME_BYTES:
                 raise InvalidSource(
-                    f"{self._path}: the name {quoted(own)} has more than {MAX_NAME_BYTES} bytes; "
-                    "shorten it"
+                    f"{self._path}: the name {quoted(unique)} has more than {MAX_NAME_BYTES} bytes"
+                    "; shorten it"
                 )
-            names.append(own)
+            names.append(unique)
         return names
 
-    def _meshes(self, found: _Found, physics: Stage, origins: Floats) -> list[Mesh | None]:
+    def _meshes(self, contents: _Found, physics: Stage, origins: Floats) -> list[Mesh | None]:
         """Return the meshes of each link, in its frame."""
-        own: list[list[Any]] = [[] for _ in origins]
-        for prim in found.shapes:
+        meshes: list[list[Any]] = [[] for _ in origins]
+        for prim in contents.shapes:
             body = body_of(prim)
-            own[WORLD if body is None else physics.bodies.get(body.GetPath(), WORLD)].append(prim)
+            meshes[WORLD if body is None else physics.bodies.get(body.GetPath(), WORLD)].append(
+                prim
+            )
         if not self._with_meshes:
-            return [None if prims else joined(()) for prims in own]
+            return [None if prims else joined(()) for prims in meshes]
         return [
             joined(self._placed(prim, physics, origin) for prim in prims)
-            for prims, origin in zip(own, origins, strict=True)
+            for prims, origin in zip(meshes, origins, strict=True)
         ]
 
     def _placed(self, prim: Any, physics: Stage, origin: Floats) -> Mesh:
@@ -208,13 +210,13 @@ class _Reading:
             )
         return Mesh(vertices - origin, mesh.faces)
 
-    def _note_what_is_left_out(self, found: _Found) -> None:
+    def _note_what_is_left_out(self, contents: _Found) -> None:
         if self._shapes.left_out:
             kinds = ", ".join(sorted(self._shapes.left_out))
             self._notes.append(f"of kinds that are not read, left out: {kinds}")
         following = [  # driven by another joint, for which each simulator has a schema of its own
             prim.GetName()
-            for prim in found.joints
+            for prim in contents.joints
             if any("Mimic" in str(name) for name in prim.GetAppliedSchemas())
         ]
         if following:

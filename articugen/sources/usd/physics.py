@@ -137,13 +137,13 @@ def _end(prim: Any, stage: Stage, number: int, by: str) -> tuple[int, Floats]:
                 f"{by}: its body{number} {quoted(str(targets[0]))} is not there; correct its name"
             )
         T = stage.places.of(target)
-        found = body_of(target)
-        body = WORLD if found is None else stage.bodies.get(found.GetPath(), WORLD)
+        which = body_of(target)
+        body = WORLD if which is None else stage.bodies.get(which.GetPath(), WORLD)
     place = _attribute(prim, f"localPos{number}", by)
     what = f"its localPos{number}"
     at = turned(T[:3, :3], numbers(place, (3,), by, what)) + T[:3, 3]
-    own = rotation_of(_attribute(prim, f"localRot{number}", by), by, f"its localRot{number}")
-    R = product(stage.turn, turn_of(T, by), own)
+    turn = rotation_of(_attribute(prim, f"localRot{number}", by), by, f"its localRot{number}")
+    R = product(stage.turn, turn_of(T, by), turn)
     return body, transform(R, stage.to_metres(at))
 
 

@@ -42,14 +42,14 @@ def main_file(folder: Path) -> Path | None:
     """Return the file of a folder that is a model: of several the one that is called like the
     folder, or model_<...>; a single one where layers lie in a folder beside it."""
     there = visible(folder)
-    own = [path for path in there if path.suffix.lower() in SUFFIXES]
-    if not own or has_urdf(folder):
+    files = [path for path in there if path.suffix.lower() in SUFFIXES]
+    if not files or has_urdf(folder):
         return None
     called = (folder.name.lower(), f"model_{folder.name.lower()}")
     for chosen in (
-        [path for path in own if path.stem.lower() in called],
-        [path for path in own if path.stem.lower().startswith("model_")],
-        own if any(path.name.lower() in LAYER_FOLDERS for path in there) else [],
+        [path for path in files if path.stem.lower() in called],
+        [path for path in files if path.stem.lower().startswith("model_")],
+        files if any(path.name.lower() in LAYER_FOLDERS for path in there) else [],
     ):
         if len(chosen) == 1 and not isdir(chosen[0]):
             return chosen[0]
@@ -70,9 +70,9 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         links, joints, notes = ((Link("world", read.STAND_IN),), (), ())
         sha256 = digest_apart(path, root)
     else:
-        made = read_apart(path, root, with_meshes=read.wanted() == "meshes")
-        links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in made.links)
-        joints, notes, sha256 = made.joints, made.notes, made.sha256
+        obj = read_apart(path, root, with_meshes=read.wanted() == "meshes")
+        links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in obj.links)
+        joints, notes, sha256 = obj.joints, obj.notes, obj.sha256
     return ArticulatedObject(
         object_id=ref.object_id,
         category=ref.category,

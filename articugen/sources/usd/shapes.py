@@ -60,9 +60,9 @@ class Shapes:
         self._count += 1
         if self._count > MAX_SHAPES:
             raise InvalidSource(f"{self._path}: shows more than {MAX_SHAPES:,} shapes; merge some")
-        own = _MAKERS[str(prim.GetTypeName())](prim, by)
+        shape = _MAKERS[str(prim.GetTypeName())](prim, by)
         try:
-            mesh = read.checked(own.vertices, own.faces, Path(by))
+            mesh = read.checked(shape.vertices, shape.faces, Path(by))
         except read.NoMesh:
             raise InvalidSource(f"{by}: has no triangle; remove it, or export it again") from None
         self._faces += len(mesh.faces)

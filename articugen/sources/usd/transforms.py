@@ -34,8 +34,8 @@ class Places:
             above = self.of(prim.GetParent())
             xformable = UsdGeom.Xformable(prim)
             if xformable:
-                own = self._own(xformable)
-                above = own if xformable.GetResetXformStack() else product(above, own)
+                local = self._own(xformable)
+                above = local if xformable.GetResetXformStack() else product(above, local)
             self._known[path] = above
         return self._known[path]
 
