@@ -39,6 +39,11 @@ def training_recipes() -> Iterable[bytes]:
     yield from _texts(RECIPES, learner=True)
 
 
+def lists() -> Iterable[bytes]:
+    for path in sorted((RECIPES / "lists").glob("*.yaml")):
+        yield path.read_bytes()
+
+
 def _texts(folder: Path, *, learner: bool) -> Iterable[bytes]:
     from articugen.core.yaml_files import known
 

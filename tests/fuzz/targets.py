@@ -94,6 +94,22 @@ def _read_mesh(path: Path) -> object:
     return read_mesh(path)
 
 
+def _check_mesh(path: Path) -> object:
+    """Whatever is amiss with a mesh is a finding, or one sentence that is not about us."""
+    from articugen.inspection.check.door import check
+
+    checks = check(path, jobs=0)
+    problem = checks.models[0].problem or ""
+    assert "cannot be checked" not in problem, problem
+    return checks.json()
+
+
+def _read_list(path: Path) -> object:
+    from articugen.learning.comparison import recipes_of
+
+    return recipes_of(str(path), "eyeglasses")
+
+
 def _read_shape2motion(path: Path) -> object:
     from articugen.sources.refs import CategorySettings, ObjectRef
     from articugen.sources.shape2motion import load
@@ -396,6 +412,7 @@ TARGETS = {
         Target("urdf", "model.urdf", _read_urdf, (InvalidSource,), _meshes_around, tokens=_IN_XML),
         Target("mjcf", "model.xml", _read_mjcf, (InvalidSource,), _meshes_around, tokens=_IN_XML),
         _mesh("obj", _IN_OBJ, made=making.objs),
+        Target("check", "m.obj", _check_mesh, (InvalidSource,), tokens=_IN_OBJ, made=making.objs),
         _mesh("stl", _IN_STL, mending.stl),
         _mesh("ply", _IN_PLY),
         _mesh("dae", _IN_DAE),
@@ -419,6 +436,10 @@ TARGETS = {
         Target(
             "training", "own.yaml", _read_training_recipe, (InvalidRecipe,),
             made=making.training_recipes, tokens=_IN_YAML,
+        ),
+        Target(
+            "list", "own.yaml", _read_list, (InvalidRecipe,), made=making.lists,
+            tokens=(*_IN_YAML, b"only: laptop", b"method: bsp"), extra="torch",
         ),
         Target(
             "source", "source.yaml", _read_source_file, (InvalidSource,), made=making.source_files,
