@@ -287,7 +287,7 @@ def test_what_an_edited_manifest_tells_is_kept_where_it_agrees(folder):
     edit(folder, seed=7)
     damage(folder / SHARD)
     rebuilt, again = mended(folder)
-    assert "made again from 2 shards; what nothing else tells" in rebuilt.done
+    assert "made again from 2 shards; what nothing else records" in rebuilt.done
     assert "taken from the damaged one" in rebuilt.done
     assert (again.name, again.done) == (SHARD, AGAIN)
     after = Manifest.read(folder)
@@ -327,7 +327,7 @@ def test_shards_that_tell_too_little_are_one_sentence(folder, boxes, tmp_path):
     for path in folder.glob("*.h5"):
         damage(path)
     (none,) = mended(folder)
-    assert "no shard is whole that could tell what the data set was" in none.done
+    assert "no shard is whole that could show what the data set was" in none.done
     assert not any(each.ok for each in (twice, mixed, none))
     assert not (folder / MANIFEST_NAME).exists()
 
@@ -382,7 +382,7 @@ def test_the_command_mends_and_says_what_it_did(folder, boxes):
     assert AGAIN in done.output
     assert "3 shards, 6 instances are as they were made" in done.output
     assert contents(folder) == contents(boxes / "made")
-    with pytest.raises(InvalidArgument, match="is said of a repair"):
+    with pytest.raises(InvalidArgument, match="belongs to a repair"):
         ag.verify(folder, drop_user=True)
 
 

@@ -259,7 +259,7 @@ def test_a_plain_folder_takes_any_name_but_does_not_know_all(tmp_path):
     add(tmp_path / "laptop" / "urdf" / "laptop.urdf")
     assert open_source(str(tmp_path)).categories(["Cabinet,thing", "thing"]) == ("Cabinet", "thing")
     assert ids(open_source(tmp_path).objects("Cabinet")) == ["a", "laptop"]
-    with pytest.raises(InvalidSource, match="does not tell of what categories"):
+    with pytest.raises(InvalidSource, match="does not state the categories"):
         open_source(str(tmp_path)).categories(["all"])
     with pytest.raises(InvalidSource, match="no category is asked for"):
         open_source(str(tmp_path)).categories([" , "])

@@ -8,6 +8,7 @@ HOMES = {
     "Model": "articugen.instance.maker",
     "Recipe": "articugen.core.recipe",
     "Row": "articugen.store.rows",
+    "check": "articugen.inspection.check.door",
     "discover": "articugen.discovery.objects",
     "evaluate": "articugen.learning.commands",
     "export": "articugen.export.run",
@@ -37,8 +38,9 @@ _ON = {
         "instance.maker.MadeMesh", "core.records.Joint",
     )),
     "commands": ("What commands do", (
-        "generate", "verify", "export", "discover", "train", "evaluate", "fetch",
+        "generate", "verify", "check", "export", "discover", "train", "evaluate", "fetch",
     ), (
+        "inspection.check.model.Checks", "inspection.check.model.Checked",
         "pipeline.options.Options", "export.run.Exported", "export.items.Options",
         "sources.fetch.target.Fetched",
     )),
