@@ -4,8 +4,6 @@
 grey. Their loader unpickles the one dict that an .npz holds; nothing but arrays is in it.
 """
 
-import io
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,11 +25,8 @@ def _write(item: Item, target: Target) -> None:
     for row in item.rows:
         folder = f"{file_name(row.category)}/{file_name(row.split)}/{file_name(row.object_id)}"
         for camera in range(len(row.partial.part)):
-            data = io.BytesIO()
-            np.savez(data, np.array(_view(row, camera, boxes), dtype=object))
-            target.write(
-                f"{folder}/{row.state_index:04d}/input_2/{camera:02d}.npz", data.getvalue()
-            )
+            name = f"{folder}/{row.state_index:04d}/input_2/{camera:02d}.npz"
+            target.write_arrays(name, {"arr_0": np.array(_view(row, camera, boxes), dtype=object)})
 
 
 def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:

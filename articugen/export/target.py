@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 import os
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -60,6 +61,18 @@ class Done:
 
     files: tuple[Written, ...]
     left_out: str | None = None
+
+
+def npz(arrays: Mapping[str, ArrayLike], *, compressed: bool = False) -> bytes:
+    """Return an .npz file, the same bytes for the same arrays: those of `np.savez` depend on the
+    version of Python, whose headers of files that may be large have changed."""
+    data, how = io.BytesIO(), zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(data, "w") as file:
+        for name, array in arrays.items():
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asarray(array))
+            file.writestr(zipfile.ZipInfo(f"{name}.npy"), member.getbuffer(), how)
+    return data.getvalue()
 
 
 class Target:
@@ -182,10 +195,7 @@ class Target:
 
     def write_arrays(self, name: str, arrays: Mapping[str, ArrayLike]) -> None:
         """Write an .npz of arrays, the same bytes for the same arrays."""
-        data = io.BytesIO()
-        plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
-        np.savez(data, **plain)
-        self.write(name, data.getvalue())
+        self.write(name, npz(arrays))
 
     def write_lines(self, name: str, lines: Iterable[str]) -> None:
         """Write a text file of lines."""

@@ -13,7 +13,7 @@ import numpy as np
 from articugen.core import schema
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name, instance_name
-from articugen.export.target import Target
+from articugen.export.target import Target, npz
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, in_units, is_scaled
 
@@ -62,9 +62,7 @@ def _arrays(row: Row) -> bytes:
         if field is not None and field.dtype != "S":
             stored = row.stored(name)
             arrays[name] = in_units(name, stored) if is_scaled(name) else np.asarray(stored)
-    data = io.BytesIO()
-    np.savez_compressed(data, **arrays)
-    return data.getvalue()
+    return npz(arrays, compressed=True)
 
 
 FORMAT = Format("tar files of samples, points in units; for webdataset", _items, _write)
