@@ -108,7 +108,7 @@ def compare(
     "Exit status: 0 all sound, 3 findings, 1 a model cannot be read.",
 )
 def check(
-    path: Path = argument("A mesh, URDF or USD file, or a folder of them."),
+    path: Path = argument("A mesh, URDF, MJCF or USD file, or a folder of them."),
     json: Path | None = option(None, "Write all numbers into this file."),
     html: Path | None = option(None, "Write a page with pictures."),
     jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),

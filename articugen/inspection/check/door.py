@@ -31,7 +31,7 @@ def check(
     """Check models of others before anything is made of them: meshes, joints, what is solid.
 
     Args:
-        path: a mesh, URDF or USD file, or a folder of models; where it has none, of meshes.
+        path: a mesh, URDF, MJCF or USD file, or a folder of models; where it has none, of meshes.
         jobs: worker processes; 0 does it in this one, without limits on memory and time.
         pictures: draw each, for a report.
         on_model: called with each that is checked, and how many there are.
