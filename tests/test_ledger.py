@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 from bucket_server import BUCKET, bucket_server
@@ -246,6 +247,30 @@ def test_a_file_system_without_links_serves_as_well(
 
     monkeypatch.setattr(place.os, "link", refuse)
     test_one_of_many_threads_wins(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("write", "inner"),
+    [(Folder.write, "write_atomically"), (Folder.write_new, "_write_exclusively")],
+)
+def test_a_folder_that_others_empty_and_make_again_costs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Any, inner: str
+) -> None:
+    real, calls = getattr(place, inner), list[Path]()
+
+    def beside_others(path: Path, data: bytes) -> None:
+        calls.append(path)
+        if len(calls) > 1:
+            return real(path, data)
+        path.parent.rmdir()
+        try:
+            real(path, data)
+        finally:
+            path.parent.mkdir()
+
+    monkeypatch.setattr(place, inner, beside_others)
+    write(Folder(tmp_path), "clocks/1", b"now")
+    assert (tmp_path / "clocks" / "1").read_bytes() == b"now"
 
 
 def test_a_plan_that_is_being_written_is_waited_for(tmp_path: Path) -> None:

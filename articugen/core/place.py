@@ -2,12 +2,12 @@
 
 import errno
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from articugen.core.errors import MachineFault
 from articugen.core.files import (
@@ -21,8 +21,10 @@ from articugen.core.files import (
     write_atomically,
 )
 
+R = TypeVar("R")
+
 _MOST_BYTES = 1 << 28  # of a file that is read as a whole
-_TRIES = 5  # of a write whose folder somebody else has just emptied and removed
+_TRIES = 50  # of a write whose folder somebody else has just emptied and removed
 
 
 @dataclass(frozen=True)
@@ -112,18 +114,12 @@ class Folder:
             raise MachineFault(f"{path}: cannot be read ({error.strerror})") from None
 
     def write(self, name: str, data: bytes) -> None:
-        for tries_left in reversed(range(_TRIES)):
-            path = self._path_for(name, data)
-            try:
-                write_atomically(path, data)
-            except MachineFault:
-                if path.parent.is_dir() or not tries_left:
-                    raise
-            else:
-                return
+        self._in_its_folder(name, data, lambda path: write_atomically(path, data))
 
     def write_new(self, name: str, data: bytes) -> bool:
-        path = self._path_for(name, data)
+        return self._in_its_folder(name, data, lambda path: self._write_new(path, name, data))
+
+    def _write_new(self, path: Path, name: str, data: bytes) -> bool:
         aside = path.with_name(partial_name(path.name))
         try:
             try:
@@ -144,7 +140,7 @@ class Folder:
         except UnfitFile:
             return False
         except OSError as error:
-            raise MachineFault(cannot_write(path, error, len(data))) from None
+            raise MachineFault(cannot_write(path, error, len(data))) from error
         return True
 
     def list(self, under: str = "") -> Mapping[str, Listed]:
@@ -187,14 +183,22 @@ class Folder:
         except OSError as error:
             raise MachineFault(cannot_write(self.path, error)) from None
 
-    def _path_for(self, name: str, data: bytes) -> Path:
-        """Return the path of a file to write, once its folder is there."""
-        try:
-            path = self._path(name)
-            make_folder(path.parent)
-        except OSError as error:
-            raise MachineFault(cannot_write(self.path / name, error, len(data))) from None
-        return path
+    def _in_its_folder(self, name: str, data: bytes, act: Callable[[Path], R]) -> R:
+        """Call `act` with the path of a file to write, once its folder is there; again where
+        another process has removed that, empty, in between."""
+        tries = _TRIES
+        while True:
+            try:
+                try:
+                    path = self._path(name)
+                    make_folder(path.parent)
+                except OSError as error:
+                    raise MachineFault(cannot_write(self.path / name, error, len(data))) from error
+                return act(path)
+            except MachineFault as fault:
+                tries -= 1
+                if not (tries and isinstance(fault.__cause__, FileNotFoundError)):
+                    raise
 
     def _path(self, name: str) -> Path:
         """Return the path of a file to replace or remove: a link itself, not where it leads."""
