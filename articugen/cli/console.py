@@ -25,7 +25,7 @@ from articugen.store.outcome import Outcome, Rejection
 
 
 def sources_table(sources: Iterable[Source]) -> RenderableType:
-    """Return named sources and the objects they hold; where models are missing, how to get them."""
+    """Return the named sources and their objects; where models are missing, how to get them."""
     lines: list[RenderableType] = []
     for source in sources:
         table = facts()

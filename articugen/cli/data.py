@@ -213,7 +213,7 @@ def verify(
 
 
 def _counter(folder: Path, count_shard: Callable[[int, int, str], None]) -> Callable[[str], None]:
-    """To be called with the name of each shard that has been checked."""
+    """Return a function to be called with the name of each shard that has been checked."""
     shards, done = sum(1 for _ in folder.glob("*.h5")), count()  # a repair looks at them again
     return lambda name: count_shard(
         next(done) % max(shards, 1) + 1, shards, f"{folder.name}: {name}"

@@ -150,7 +150,7 @@ def written_atomically(
     The bytes go to a temporary name in the same folder and to the disk (fsync); `check` examines
     that file and raises where it is not as it should be; only then it gets its name, and the folder
     is synchronised, so that the name survives a power cut as well. Where anything fails `path` is
-    what it was, and the temporary file is gone. `size`, where it is known, is known if the disk is
+    what it was, and the temporary file is gone. `size`, where it is known, is named if the disk is
     full.
 
     Raises:

@@ -195,10 +195,8 @@ class ArticulatedObject:
         part_of_moving = {joint.name: k + 1 for k, joint in enumerate(self.moving_joints)}
         part = np.zeros(len(self.links), np.int32)
         for joint in self.joints:
-            moving_part = part_of_moving.get(joint.name)
-            part[index[joint.child]] = (
-                part[index[joint.parent]] if moving_part is None else moving_part
-            )
+            moved = part_of_moving.get(joint.name)
+            part[index[joint.child]] = part[index[joint.parent]] if moved is None else moved
         return part
 
     @property
@@ -298,10 +296,8 @@ class LabelledMesh:
 
     def part(self, part: int) -> "LabelledMesh":
         """Return the faces of one part, with the vertices they use."""
-        of_part = self.part_of_face == part
-        return LabelledMesh(
-            self.vertices, self.faces[of_part], self.part_of_face[of_part]
-        ).compact()
+        its = self.part_of_face == part
+        return LabelledMesh(self.vertices, self.faces[its], self.part_of_face[its]).compact()
 
     def compact(self) -> "LabelledMesh":
         """Return the same faces without the vertices that none of them uses."""

@@ -64,10 +64,7 @@ def resolved_mapping(
     data: Mapping[str, Any], base_of: Callable[[str], Path], chain: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
     """Do as `resolved`, with a mapping that is no file's: a notebook's recipe."""
-    keys, base = (
-        {key: value for key, value in data.items() if key != "extends"},
-        data.get("extends"),
-    )
+    keys, base = {k: value for k, value in data.items() if k != "extends"}, data.get("extends")
     return keys if base is None else _merged(resolved(base_of(str(base)), base_of, chain), keys)
 
 

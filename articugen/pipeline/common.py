@@ -65,7 +65,7 @@ class CommonPlan(BaseModel):
             )
 
     def recipe_of_objects(self) -> str:
-        """Digest that shards of it have of their recipe; "" if it is of another version."""
+        """Return the digest that its shards have of their recipe; "" of another version's."""
         recipe = Recipe.of_text(self.recipe)
         return recipe.for_one_object().sha256() if recipe else ""
 

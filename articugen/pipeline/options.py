@@ -126,7 +126,7 @@ class Options:
     )
     max_rejected: float | None = option(
         None,
-        "How many objects may be rejected before the run counts as failed.",
+        "Share of the objects that may be rejected before the run counts as failed.",
         min=0.0,
         max=1.0,
         metavar="FRACTION",

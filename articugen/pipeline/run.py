@@ -228,6 +228,11 @@ class Run:
         it."""
         records = self.records
         claim = records.ledger.claims if isinstance(self.job.out, Remote) else None
+        for task in tasks if claim is None else ():
+            if task.known:
+                records.record(task.known)
+                yield task, task.known
+        tasks = [task for task in tasks if not task.known or claim]
         work = Work(self.job, self.objects, handles=records.handles, claim=claim)
         with closing(outcomes_of(work, tasks, executor, on_notice)) as ends:
             for task, outcome, is_recorded in ends:

@@ -151,7 +151,7 @@ class Manifest(Record):
         return tuple(entry.key for entries in lists for entry in entries)
 
     def digest(self) -> str:
-        """Digest of everything but `manifest_sha256`, as JSON with sorted keys and without
+        """Return the digest of all but `manifest_sha256`, as JSON with sorted keys and without
         spaces."""
         rest = self.model_dump(mode="json", exclude={"manifest_sha256", *LISTS})
         digest = hashlib.sha256()
@@ -176,16 +176,28 @@ class Manifest(Record):
 
     @staticmethod
     def of(
-        outcomes: Iterable[Outcome], *, recipe: str, shortfall: str | None = None, **about: Any
+        outcomes: Iterable[Outcome],
+        *,
+        category: str,
+        source: str,
+        licence: str,
+        recipe: str,
+        seed: int,
+        timings: Timings,
+        shortfall: str | None = None,
     ) -> "Manifest":
-        """Return the manifest of a finished run: of these outcomes, made here and now by this code.
-        Given besides are `category`, `source`, `licence`, `seed` and `timings`."""
+        """Return the manifest of a finished run: of these outcomes, made here and now by this
+        code."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
+            category=category,
+            source=source,
+            licence=licence,
             recipe=recipe,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
+            seed=seed,
             articugen_version=code_version(),
             commit=this_commit(),
             versions=library_versions(),
@@ -197,7 +209,7 @@ class Manifest(Record):
             failed=tuple(o.failed for o in outcomes if o.failed),
             shortfall=shortfall,
             content_sha256=content_of(objects),
-            **about,
+            timings=timings,
         )
 
     @property

@@ -68,7 +68,7 @@ class TorchStream(IterableDataset):
 
 
 def _of_row(name: str, stored: Any) -> Any:
-    """Torch's like of a field of a row; of text, the text."""
+    """Return a field of a row as a tensor; of text, the text."""
     if isinstance(stored, str | tuple):
         return stored
     return _tensor(in_units(name, stored) if is_scaled(name) else np.array(stored))

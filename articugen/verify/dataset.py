@@ -243,7 +243,7 @@ def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
 def _shard_findings(
     folder: Path, about: dict[str, str | int], recorded: tuple[ShardEntry, list[ObjectEntry]]
 ) -> tuple[list[Finding], bool]:
-    """Yield what is wrong with one shard, and whether all that is not as recorded is a group
+    """Return what is wrong with one shard, and whether all that is not as recorded is a group
     `user`.
 
     A file that is not the one recorded is looked into as well. With such a group it may be another:
@@ -292,7 +292,7 @@ def _attribute_findings(
 def _row_findings(
     shard: Shard, entry: ShardEntry, objects: list[ObjectEntry]
 ) -> tuple[list[Finding], list[Finding]]:
-    """Yield what is wrong with the content, and with the geometry; each row is read once for
+    """Return what is wrong with the content, and with the geometry; each row is read once for
     both."""
     name, recipe = shard.path.name, Recipe.of_text(str(shard.attributes["recipe"]))
     content: list[Finding] = []

@@ -43,10 +43,9 @@ class Work:
     aside: Path | None = None
 
     def done(self, task: Task) -> Outcome | None:
-        """Make one object, unless it is known what became of it; None where another process is at
-        it. As `make_object`."""
+        """Make one object; None where another process is at it. As `make_object`."""
         if self.claim is None:
-            return task.known or make_object(self.job, self.job.folder, task, self.check)
+            return make_object(self.job, self.job.folder, task, self.check)
         bucket, aside = self.job.place, self.aside
         assert isinstance(bucket, Bucket)
         assert aside is not None
