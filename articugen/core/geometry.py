@@ -31,15 +31,14 @@ def rotation_from_rpy(rpy: ArrayLike) -> Floats:
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
-    """Return the (3, 3) rotation of a unit quaternion w, x, y, z."""
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    """Return the rotations (..., 3, 3) of unit quaternions w, x, y, z (..., 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:

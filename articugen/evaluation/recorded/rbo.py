@@ -20,7 +20,13 @@ import numpy as np
 from articugen.core.arrays import Bools, Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.files import within
-from articugen.core.geometry import apply, invert_rigid, rotation_from_rpy, transform
+from articugen.core.geometry import (
+    apply,
+    invert_rigid,
+    rotation_from_quaternion,
+    rotation_from_rpy,
+    transform,
+)
 from articugen.core.seeding import generator
 from articugen.core.yaml_files import read_yaml
 from articugen.evaluation.recorded.frames import (
@@ -139,20 +145,13 @@ class _Table:
     def poses(self, time: str, at: str, turned: str, which: Bools) -> _Timed:
         """Return those of some rows by time; a quaternion of zeros marks what was lost. What never
         moves is one pose at no time, as it is sent more rarely than images."""
-        Q = self.numbers(*(turned + k for k in "xyzw"))
+        Q = self.numbers(*(turned + k for k in "wxyz"))
         size = np.sqrt((Q * Q).sum(1))
         which = which & (size > 0.0)
         if not which.any():
             return np.zeros(0), np.zeros((0, 4, 4))
-        x, y, z, w = (Q[which] / size[which, None]).T
-        T = np.tile(np.eye(4), (len(x), 1, 1))
-        T[:, 0, :3] = np.stack(
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1
-        )
-        T[:, 1, :3] = np.stack(
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1
-        )
-        T[:, 2, :3] = np.cross(T[:, 0, :3], T[:, 1, :3])
+        T = np.tile(np.eye(4), (which.sum(), 1, 1))
+        T[:, :3, :3] = rotation_from_quaternion(Q[which] / size[which, None])
         T[:, :3, 3] = self.numbers(*(at + k for k in "xyz"))[which]
         if np.abs(T - T[0]).max() < _STILL:
             return np.array([np.nan]), T[:1]
