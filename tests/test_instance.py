@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -183,8 +184,7 @@ def agreement(made: Made) -> Agreement:
     return Agreement(*shares.tolist(), both=float(total[0] / total[1]), parts=right / asked)
 
 
-@pytest.mark.parametrize("k", [0, 2])
-@pytest.mark.parametrize("category", CATEGORIES)
+@pytest.mark.parametrize(("category", "k"), [*zip(CATEGORIES, cycle([2, 0]))])
 def test_occupancy_and_parts_are_those_of_the_exact_solids(
     make: Maker, category: str, k: int
 ) -> None:
