@@ -174,9 +174,7 @@ def test_the_page_runs_its_own_script_alone_and_asks_for_nothing(page: Path) -> 
             assert re.match(r"data:image/|#", attributes.get(name) or "#"), attributes
         if tag in ("img", "canvas"):
             assert attributes.get("alt") or attributes.get("aria-label")
-    named_by = {a["for"] for t, a in parsed.found if t == "label" and "for" in a}
-    assert named_by == {"joint-0", "joint-1"}
-    assert "alert" not in re.findall("<script.*?</script>", html, re.DOTALL)[0]
+    assert "<" not in re.findall(r"<script type[^>]*>(.*?)</script>", html, re.DOTALL)[0]
 
 
 def test_a_single_shard_and_one_without_points_have_reports_too(tmp_path: Path) -> None:
@@ -266,13 +264,15 @@ def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) ->
     faults = faults_of(tab)
     tab.goto(html.as_uri())
     tab.wait_for_selector("#viewer[data-ready], #viewer[data-failed]", state="attached")
-    assert tab.get_attribute("#viewer", "data-ready") == "true", tab.inner_text("#viewer-said")
+    assert tab.get_attribute("#viewer", "data-ready") == "true", tab.inner_text(
+        "#viewer [role=status]"
+    )
     return tab, faults
 
 
 def set_joint(tab: Any, joint: int, value: float) -> None:
     tab.eval_on_selector(
-        f"#joint-{joint}",
+        f"#viewer .joint input >> nth={joint}",
         "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }",
         value,
     )
@@ -300,14 +300,14 @@ def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) ->
         seen.append(picture(tab))
     assert len(set(seen)) == len(made) + 1  # as it opens, then each pose
     assert tab.inner_text("#viewer output >> nth=1") == "0.02"
-    tab.click("#view-reset")
+    tab.click("#viewer button >> nth=0")
     assert picture(tab) == seen[0]
     assert faults == []
 
 
 def test_it_opens_a_little_open(chromium: Any, page: Path) -> None:
     tab, _ = opened(chromium, page, PHONE)
-    values = [float(tab.input_value(f"#joint-{j}")) for j in (0, 1)]
+    values = [float(tab.input_value(f"#viewer .joint input >> nth={j}")) for j in (0, 1)]
     np.testing.assert_allclose(values, [35.0, 0.105])  # of 100° and 0.3
     assert tab.inner_text("#viewer output >> nth=0") == "35°"
 
@@ -323,7 +323,7 @@ def test_nothing_that_moves_is_cut_off(
     tab, _ = opened(chromium, tmp_path / "report.html", screen)
     points, part = dequantize(shut.surface_points), shut.surface_part
     for share in (0.0, 0.5, 1.0):
-        set_joint(tab, 0, share * float(tab.get_attribute("#joint-0", "max")))
+        set_joint(tab, 0, share * float(tab.get_attribute("#viewer .joint input >> nth=0", "max")))
         T = np.array(tab.evaluate("articugen.motions(articugen.states())")).reshape(-1, 4, 4)
         view = np.array(tab.evaluate("articugen.view()")).reshape(4, 4).T
         at = np.concatenate([apply(T[k].T, points[part == k]) for k in range(len(T))])
@@ -351,6 +351,7 @@ def test_a_table_that_is_too_wide_is_shaded_where_it_goes_on(chromium: Any, page
     def shade() -> tuple[int, int]:
         """How much darker than the card the table is at its left and right rims."""
         seen = np.asarray(Image.open(io.BytesIO(wide.screenshot())).convert("L"), np.int64)
+        seen = seen[2:-2]  # a rim may lie half on what is around
         return int(255 - seen[:, 1].max()), int(255 - seen[:, -2].max())
 
     left, right = shade()
@@ -367,19 +368,19 @@ def test_keys_and_buttons_turn_it(chromium: Any, page: Path) -> None:
     for key in ("ArrowLeft", "ArrowUp", "+"):
         tab.keyboard.press(key)
         seen.append(picture(tab))
-    tab.uncheck("#axes")
+    tab.uncheck("#viewer .check input >> nth=0")
     seen.append(picture(tab))
     assert len(set(seen)) == len(seen)
-    tab.check("#axes")
-    tab.click("#view-reset")
+    tab.check("#viewer .check input >> nth=0")
+    tab.click("#viewer button >> nth=0")
     assert picture(tab) == seen[0]
-    tab.click("#view-play")
+    tab.click("#viewer button >> nth=1")
     for _ in range(100):
         tab.wait_for_timeout(100)
-        if float(tab.input_value("#joint-0")) > 2.0:
+        if float(tab.input_value("#viewer .joint input >> nth=0")) > 2.0:
             break
-    assert float(tab.input_value("#joint-0")) > 2.0
-    assert tab.get_attribute("#view-play", "aria-pressed") == "true"
+    assert float(tab.input_value("#viewer .joint input >> nth=0")) > 2.0
+    assert tab.get_attribute("#viewer button >> nth=1", "aria-pressed") == "true"
     assert faults == []
 
 
@@ -400,7 +401,7 @@ def test_without_webgl_the_page_says_so_and_shows_a_picture(page: Path, chromium
     tab.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     tab.goto(page.as_uri())
     tab.wait_for_selector("#viewer[data-failed]", state="attached", timeout=90_000)
-    assert "no WebGL 2" in tab.inner_text("#viewer-said")
+    assert "no WebGL 2" in tab.inner_text("#viewer [role=status]")
     assert tab.is_visible("#viewer .stage img")
 
 

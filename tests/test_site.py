@@ -182,7 +182,7 @@ def test_the_report_of_a_category_is_in_its_page(chromium: Any, site: Path) -> N
     tab, faults = opened(chromium, site / "gallery" / "laptop.html", LAPTOP)
     report = tab.frame_locator("iframe.report")
     report.locator("#viewer[data-ready]").wait_for(state="attached")
-    assert report.locator("#joint-0").count() == 1
+    assert report.locator("#viewer .joint [step=any]").count() == 1
     assert faults == []
 
 

@@ -22,13 +22,15 @@ class JointStates:
         name: in the model's file; "" where the shard has none.
         kind: revolute or prismatic.
         lower, upper: the range that they are drawn from.
-        drawn: (n,) the random ones.
+        states: (n,) all of them, in the order of the rows.
+        drawn: (m,) the random ones of these.
     """
 
     name: str
     kind: JointKind
     lower: float
     upper: float
+    states: Floats
     drawn: Floats
 
     @property
@@ -164,6 +166,7 @@ def _joints(
             kind=kind,
             lower=float(small["joint_lower"][rows[0], j] * unit),
             upper=float(small["joint_upper"][rows[0], j] * unit),
+            states=small["joint_state"][rows, j] * unit,
             drawn=small["joint_state"][random, j] * unit,
         )
 

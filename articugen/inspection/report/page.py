@@ -184,7 +184,7 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
         alike = [("likeness", "Likeness", sections.alike(*report.alike, picture))]
     return [
         ("overview", "Overview", sections.overview(about, manifest)),
-        ("turn", "Turn it", sections.turning(turned, every, still)),
+        ("turn", "Turn it", sections.turning(turned, still)),
         ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, about)),
         ("joints", "Joints", sections.joints(every)),
         ("parts", "Parts", sections.parts(every)),

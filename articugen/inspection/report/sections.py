@@ -17,7 +17,6 @@ from articugen.inspection.report.facts import (
     JointStates,
     ObjectFacts,
     PartSize,
-    range_text,
     spread_text,
 )
 
@@ -27,7 +26,6 @@ from articugen.inspection.report.markup import (  # isort: skip
 from articugen.inspection.report.truth import Measured
 from articugen.inspection.report.turnable import Turnable
 from articugen.pictures.contact_sheet import Portraits
-from articugen.pictures.portrait import AJAR
 from articugen.store.manifest import Manifest, Rejection
 
 MOST_JOINTS = 24  # joints of one number whose histograms are drawn
@@ -71,59 +69,17 @@ def overview(facts: Facts, manifest: Manifest | None) -> Markup:
     )  # fmt: skip
 
 
-def turning(shown: Turnable | None, objects: Sequence[ObjectFacts], still: str) -> Markup:
+def turning(shown: Turnable | None, still: str) -> Markup:
+    """Return the card that viewer.js fills."""
     if shown is None:
         return hint("No surface points are stored, so there is nothing to turn.")
-    facts = next(o for o in objects if (o.object_id, o.split) == (shown.object_id, shown.split))
-    label = (
-        f"{shown.object_id} in three dimensions. Drag or use the arrow keys to turn it, plus and "
-        "minus to come closer; the sliders beside move its joints."
-    )
-    stage = el(
-        "div",
-        el("canvas", tabindex="0", role="img", aria_label=label),
-        el("img", src=still, alt=f"{shown.object_id} in its canonical pose") if still else None,
-        class_="stage",
-    )
-    controls = el(
-        "div",
-        el("h3", shown.object_id, SPACE, el("small", shown.split, class_="hint")),
-        el(
-            "div",
-            el("button", "Reset", type="button", id_="view-reset"),
-            el("button", "Move all", type="button", id_="view-play", aria_pressed="false"),
-            class_="buttons",
-        ),
-        *(_slider(joint, j) for j, joint in enumerate(facts.joints)),
-        el("label", el("input", type="checkbox", id_="axes", checked=True), "Axes and pivots",
-           class_="check"),
-        hint("Drag to turn; arrow keys, + and − work too. Click the picture, then scroll to "
-                "zoom."),
-        el("p", id_="viewer-said", class_="hint", role="status"),
-        el("noscript", "Turning needs JavaScript; all else on this page does without."),
-        class_="controls",
-    )  # fmt: skip
+    alt = f"{shown.object_id} in its canonical pose"
+    image = el("img", src=still, alt=alt) if still else None
     return join(
         hint("The surface of each part, from its stored points alone; parts move rigidly about "
-                "the stored axes and pivots."),
-        el("div", stage, controls, class_="card", id_="viewer"),
-    )  # fmt: skip
-
-
-def _slider(joint: JointStates, j: int) -> Markup:
-    """From the canonical pose, or the least state, to the greatest; a little open at first."""
-    unit = joint.unit
-    low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
-    name = joint.name or f"joint {j}"
-    start = AJAR * max(low, high, key=abs)
-    return el(
-        "div",
-        el("label", dot(colour_of(j + 1)), name, el("output", f"{start:.0f}{unit}"),
-           for_=f"joint-{j}"),
-        el("input", type="range", id_=f"joint-{j}", min=f"{low:.6g}", max=f"{high:.6g}",
-           step="any", value=f"{start:.4f}", data_unit=unit.strip()),
-        hint(f"{joint.kind}, {range_text(joint.lower, joint.upper, unit)}"),
-        class_="joint",
+             "the stored axes and pivots."),
+        el("noscript", hint("Turning needs JavaScript; all else on this page does without.")),
+        el("div", el("div", image, class_="stage"), class_="card viewer", id_="viewer"),
     )  # fmt: skip
 
 

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of
+from articugen.core.errors import printable
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.inspection.report.facts import ObjectFacts
+from articugen.inspection.report.facts import JointStates, ObjectFacts, range_text
 from articugen.inspection.report.skin import Skin, skin
 from articugen.pictures.contact_sheet import evenly
-from articugen.pictures.portrait import best_azimuth, oriented_points, swept
+from articugen.pictures.portrait import AJAR, best_azimuth, oriented_points, swept
 from articugen.pictures.surfels import OrientedPoints
 from articugen.store.shards import open_shard
 
@@ -60,16 +61,27 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     low, high = posed.min(axis=0), posed.max(axis=0)
     middle = (low + high) / 2.0
     scene = {
+        "name": printable(chosen.object_id),
+        "split": printable(chosen.split),
         "middle": middle.tolist(),
         "radius": float(np.linalg.norm(posed - middle, axis=1).max()),
         "floor": float(low[2]),
         "azimuth": best_azimuth([max(instances, key=_moved)]),
         "parts": [
-            {"colour": colour_of(k), "vertices": len(p.vertices), "faces": len(p.faces)}
-            for k, p in enumerate(parts)
+            {
+                "name": printable(about.semantic or about.name),
+                "colour": colour_of(k),
+                "vertices": len(p.vertices),
+                "faces": len(p.faces),
+            }
+            for k, (p, about) in enumerate(zip(parts, chosen.parts, strict=True))
+        ],
+        "states": [
+            [_short(joint.states[n]) for joint in chosen.joints] for n in range(len(chosen.rows))
         ],
         "joints": [
             {
+                **_slider(joint, j),
                 "revolute": joint.kind == JointKind.REVOLUTE,
                 "parent": int(first.joint_parent[j]),
                 "axis": first.joint_axis[j].tolist(),
@@ -81,6 +93,18 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
         "meshes": packed(parts),
     }
     return Turnable(chosen.object_id, chosen.split, first, scene)
+
+
+def _slider(joint: JointStates, j: int) -> dict[str, Any]:
+    """From the canonical pose, or the least state, to the greatest; a little open at first."""
+    low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
+    text = f"{joint.kind}, {range_text(joint.lower, joint.upper, joint.unit)}"
+    return {"name": printable(joint.name) or f"joint {j}", "text": text, "low": _short(low),
+            "high": _short(high), "start": _short(AJAR * max(low, high, key=abs))}  # fmt: skip
+
+
+def _short(number: float) -> float:
+    return float(f"{number:.6g}")
 
 
 def _moved(instance: Instance) -> float:

@@ -1,13 +1,25 @@
-// Turns one object: parts move rigidly about the stored axes and pivots. No library, no request.
+// Turns objects: parts move rigidly about the stored axes and pivots. No library, no request.
 "use strict";
-(() => {
-  const page = document.getElementById("viewer");
-  const said = document.getElementById("viewer-said");
-  if (!page) return;
-  const scene = JSON.parse(document.getElementById("scene").textContent);
-  const canvas = page.querySelector("canvas");
-  const sliders = [...page.querySelectorAll("input[type=range]")];
-  const showAxes = document.getElementById("axes");
+
+// An element; what is put inside of it is text, whatever it holds.
+function node(name, attributes = {}, ...inside) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes))
+    key in made ? (made[key] = value) : made.setAttribute(key, value);
+  made.append(...inside);
+  return made;
+}
+
+// Fills a card that has a stage, with a picture for who cannot draw; `noted` is called after changes.
+function turn(page, scene, noted = () => {}) {
+  const canvas = node("canvas", {
+    tabIndex: 0, role: "img",
+    "aria-label": `${scene.name} in three dimensions. Drag or use the arrow keys to turn it, plus and minus to come closer; the sliders beside move its joints.`,
+  });
+  const controls = controlled();
+  const { sliders, step, axes, labels, fault } = controls;
+  page.querySelector(".stage").prepend(canvas);
+  page.append(controls.panel);
   const CREASE = Math.cos((28 * Math.PI) / 180);
   const FOV = (26 * Math.PI) / 180;
   const LAMPS = 8; // of which each throws a hard shadow; together they are soft
@@ -53,7 +65,6 @@
   }
 
   const states = () => sliders.map((slider, j) => Number(slider.value) / scene.joints[j].unit);
-  window.articugen = { motions, states, view: () => eyeAndView(canvas.width / canvas.height).view };
 
   // --- meshes ----------------------------------------------------------------------------------
 
@@ -277,7 +288,8 @@
       gl.disable(gl.BLEND);
     }
 
-    return () => {
+    forget = () => gl.getExtension("WEBGL_lose_context")?.loseContext();
+    draw = () => {
       const density = Math.min(window.devicePixelRatio || 1, 2);
       canvas.width = Math.max(1, Math.round(canvas.clientWidth * density));
       canvas.height = Math.max(1, Math.round(canvas.clientHeight * density));
@@ -296,8 +308,8 @@
       gl.disable(gl.BLEND);
       gl.uniform1f(where.flat_, 0);
       gl.uniform1f(where.alpha, 1);
-      parts.forEach((body, k) => put(body, T[k], colours[k]));
-      if (showAxes.checked) {
+      parts.forEach((body, k) => put(body, T[k], colours[labels.checked ? k : 0]));
+      if (axes.checked) {
         gl.enable(gl.BLEND);
         rodsThrough(T);
       }
@@ -306,57 +318,108 @@
 
   // --- what people do --------------------------------------------------------------------------
 
-  function attended(draw) {
-    let asked = false;
-    const redraw = () => {
-      if (asked) return;
-      asked = true;
-      requestAnimationFrame(() => ((asked = false), draw()));
+  function controlled() {
+    const dot = (colour) => {
+      const mark = node("span", { className: "dot", ariaHidden: "true" });
+      mark.style.background = colour;
+      return mark;
     };
-    const written = (slider) => {
-      const value = Number(slider.value);
-      const text = slider.dataset.unit === "°" ? `${value.toFixed(0)}°` : `${Number(value.toPrecision(3))}`;
-      slider.setAttribute("aria-valuetext", text);
-      slider.parentElement.querySelector("output").value = text;
+    const ranged = (title, about, range, ...below) => {
+      const slider = node("input", { type: "range", "aria-label": title, ...range });
+      return [slider, node("div", { className: "joint" },
+        node("div", { className: "name" }, ...about, title, node("output")), slider, ...below)];
     };
-    const turn = (azimuth, elevation) => {
-      camera.azimuth += azimuth;
-      camera.elevation = Math.max(-0.5, Math.min(1.5, camera.elevation + elevation));
-      redraw();
+    const checked = (title) => {
+      const box = node("input", { type: "checkbox", checked: true });
+      return [box, node("label", { className: "check" }, box, title)];
     };
-    const zoom = (factor) => {
-      camera.zoom = Math.max(0.5, Math.min(8, camera.zoom * factor));
-      redraw();
-    };
+    const button = (title, more) => node("button", { type: "button", ...more }, title);
+    const count = scene.states.length;
+    const joints = scene.joints.map((joint, j) =>
+      ranged(joint.name, [dot(scene.parts[j + 1].colour)],
+        { min: joint.low, max: joint.high, step: "any", value: joint.start, defaultValue: joint.start },
+        node("p", { className: "hint" }, joint.text)));
+    const [step, steps] = ranged("Stored state", [], { min: 1, max: count, step: 1, value: 1 });
+    const [axes, showAxes] = checked("Axes and pivots");
+    const [labels, showLabels] = checked("Part colours");
+    const [reset, all, stored] = [
+      button("Reset"), button("Move all", { ariaPressed: "false" }), button("Play stored states", { ariaPressed: "false" })];
+    const named = scene.parts.filter((part) => part.name);
+    const fault = node("p", { className: "hint", role: "status" });
+    const panel = node("div", { className: "controls" },
+      node("h3", {}, `${scene.name} `, node("small", { className: "hint" }, scene.split)),
+      node("div", { className: "buttons" }, reset, all, ...(count > 1 ? [stored] : [])),
+      ...joints.map(([, joint]) => joint), ...(count > 1 ? [steps] : []), showAxes, showLabels,
+      node("p", { className: "hint legend" },
+        ...named.map((part) => node("span", {}, dot(part.colour), ` ${part.name}`))),
+      node("p", { className: "hint" },
+        "Drag to turn; arrow keys, + and − work too. Click the picture, then scroll to zoom."), fault);
+    return { panel, sliders: joints.map(([slider]) => slider), step, axes, labels, reset, all, stored, fault };
+  }
 
-    sliders.forEach((slider) => {
-      slider.addEventListener("input", () => (written(slider), redraw()));
-      written(slider);
-    });
-    showAxes.addEventListener("change", redraw);
-    document.getElementById("view-reset").addEventListener("click", () => {
-      Object.assign(camera, home);
-      sliders.forEach((slider) => ((slider.value = slider.defaultValue), written(slider)));
-      redraw();
-    });
+  let draw = () => {}, forget = () => {}, playing = null, awaited = false;
 
-    let playing = 0;
-    const play = document.getElementById("view-play");
-    play.addEventListener("click", () => {
-      playing = playing ? 0 : performance.now();
-      play.setAttribute("aria-pressed", String(playing > 0));
-      const step = (now) => {
-        if (!playing) return;
-        sliders.forEach((slider, j) => {
-          const low = Number(slider.min), high = Number(slider.max);
-          const t = (now - playing) / 1000 - 0.25 * j;
-          slider.value = low + (high - low) * (0.5 - 0.5 * Math.cos(Math.max(t, 0) * 1.3));
-          written(slider);
-        });
-        draw();
-        requestAnimationFrame(step);
+  const redraw = () => {
+    noted();
+    if (awaited) return;
+    awaited = true;
+    requestAnimationFrame(() => ((awaited = false), draw()));
+  };
+  const written = (slider, text) => {
+    slider.setAttribute("aria-valuetext", text);
+    slider.parentElement.querySelector("output").value = text;
+  };
+  const put = (values) => {
+    values.slice(0, sliders.length).forEach((value, j) => {
+      sliders[j].value = value;
+      const now = Number(sliders[j].value);
+      written(sliders[j], scene.joints[j].revolute ? `${now.toFixed(0)}°` : `${Number(now.toPrecision(3))}`);
+    });
+    redraw();
+  };
+  const current = () => sliders.map((slider) => Number(slider.value));
+  const numbered = (k) => ((step.value = k + 1), written(step, `${k + 1} of ${scene.states.length}`));
+  const look = (azimuth, elevation, zoom) => {
+    camera.azimuth = azimuth;
+    camera.elevation = Math.max(-0.5, Math.min(1.5, elevation));
+    camera.zoom = Math.max(0.5, Math.min(8, zoom));
+    redraw();
+  };
+  const turned = (azimuth, elevation) =>
+    look(camera.azimuth + azimuth, camera.elevation + elevation, camera.zoom);
+  const zoom = (factor) => look(camera.azimuth, camera.elevation, camera.zoom * factor);
+
+  function attended() {
+    const { all, stored, reset } = controls;
+    sliders.forEach((slider) => slider.addEventListener("input", () => put(current())));
+    for (const box of [axes, labels]) box.addEventListener("change", redraw);
+    step.addEventListener("input", () => {
+      numbered(step.value - 1);
+      put(scene.states[step.value - 1]);
+    });
+    const play = (button, at) => {
+      const run = (playing = playing?.button === button ? null : { button });
+      for (const one of [all, stored]) one.ariaPressed = String(one === playing?.button);
+      const begun = performance.now();
+      const frame = (now) => {
+        if (!run || playing !== run) return;
+        put(at(Math.max(0, now - begun) / 1000));
+        requestAnimationFrame(frame);
       };
-      requestAnimationFrame(step);
+      requestAnimationFrame(frame);
+    };
+    const back_and_forth = (seconds) => scene.joints.map(({ low, high }, j) =>
+      low + (high - low) * (0.5 - 0.5 * Math.cos(Math.max(seconds - 0.25 * j, 0) * 1.3)));
+    all.addEventListener("click", () => play(all, back_and_forth));
+    stored.addEventListener("click", () => play(stored, (seconds) => {
+      const count = scene.states.length, at = Math.floor(seconds) % count;
+      const share = Math.min(1, 1.6 * (seconds % 1)), next = scene.states[(at + 1) % count];
+      numbered(share < 1 ? at : (at + 1) % count);
+      return scene.states[at].map((q, j) => q + (next[j] - q) * share * share * (3 - 2 * share));
+    }));
+    reset.addEventListener("click", () => {
+      look(home.azimuth, home.elevation, home.zoom);
+      put(scene.joints.map((joint) => joint.start));
     });
 
     const fingers = new Map();
@@ -372,7 +435,7 @@
         const [other] = [...fingers].filter(([id]) => id !== event.pointerId).map(([, xy]) => xy);
         const apart = (xy) => Math.hypot(xy[0] - other[0], xy[1] - other[1]);
         zoom(apart(now) / Math.max(apart(before), 1));
-      } else turn(-0.009 * (now[0] - before[0]), 0.009 * (now[1] - before[1]));
+      } else turned(-0.009 * (now[0] - before[0]), 0.009 * (now[1] - before[1]));
       fingers.set(event.pointerId, now);
     });
     for (const end of ["pointerup", "pointercancel"])
@@ -383,8 +446,8 @@
       zoom(Math.exp(-0.0015 * event.deltaY));
     }, { passive: false });
     const keys = {
-      ArrowLeft: () => turn(-0.12, 0), ArrowRight: () => turn(0.12, 0),
-      ArrowUp: () => turn(0, 0.08), ArrowDown: () => turn(0, -0.08),
+      ArrowLeft: () => turned(-0.12, 0), ArrowRight: () => turned(0.12, 0),
+      ArrowUp: () => turned(0, 0.08), ArrowDown: () => turned(0, -0.08),
       "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(1 / 1.15),
     };
     canvas.addEventListener("keydown", (event) => {
@@ -393,17 +456,30 @@
       keys[event.key]();
     });
     new ResizeObserver(redraw).observe(canvas);
-    draw();
+    numbered(0);
+    put(current());
   }
 
+  attended();
   (async () => {
     try {
       if (!window.DecompressionStream) throw new Error("This browser is too old to unpack the meshes");
-      attended(started(await unpacked(scene.meshes)));
+      started(await unpacked(scene.meshes));
+      draw();
       page.dataset.ready = "true";
     } catch (error) {
-      said.textContent = `${error.message}; the picture beside shows the canonical pose.`;
+      fault.textContent = `${error.message}; the picture beside shows how it stands.`;
       page.dataset.failed = "true";
     }
   })();
-})();
+  return {
+    motions, states, view: () => eyeAndView(canvas.width / canvas.height).view,
+    get: () => ({ joints: current(), camera: Object.values(camera) }),
+    set: (joints, place) => (put(joints), look(...place)),
+    close: () => ((playing = null), forget()),
+  };
+}
+
+// A report has one object, within itself.
+const only = document.getElementById("scene");
+if (only) window.articugen = turn(document.getElementById("viewer"), JSON.parse(only.textContent));
