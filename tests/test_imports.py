@@ -31,7 +31,7 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 53473
+MOST_LINES = 53793
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
@@ -44,7 +44,13 @@ CORE = {
 """All that may lie in core/, or it becomes a drawer for everything."""
 
 FOREIGN: dict[str, set[str]] = {
-    "PIL": {"evaluation.recorded.frames", "export.artgs", "pictures.layout", "pictures.shading"},
+    "PIL": {
+        "evaluation.recorded.frames",
+        "export.artgs",
+        "inspection.report.site",
+        "pictures.layout",
+        "pictures.shading",
+    },
     "coacd": {"export.assembly"},
     "distributed": {"pipeline.executors.dask"},
     "fsspec": {"store.remote"},

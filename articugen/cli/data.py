@@ -68,6 +68,24 @@ def inspect(
         say(f"report: {html}, {size(written)}")
 
 
+@offered("articugen site data/laptop --out site/laptop")
+def site(
+    data: Path = argument("The folder of a data set, or a shard."),
+    out: Path = option(MISSING, "A new folder, an empty one, or a former site.", "-o"),
+    jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
+) -> None:
+    """Write a folder of static pages that show all objects of a set, on any host or offline."""
+    from articugen.core.compiling import compile_kernels
+    from articugen.core.processes import default_jobs
+    from articugen.inspection.report.site import site as write
+
+    for kernels in ("generate", "inspect"):  # models are made again to measure the truth
+        compile_kernels(kernels, notice=stderr.print)
+    with counting_bar() as count_shard:
+        done = write(data, out, jobs=jobs or default_jobs(), on_shard=count_shard)
+    say(f"{out / 'index.html'}: {done.objects:,} objects, {size(done.bytes)}")
+
+
 @offered("articugen compare data/oven real/oven --image farthest.png")
 def compare(
     first: Path = argument("A set, or a shard."),

@@ -101,22 +101,34 @@ class Facts:
 
 def facts(shards: Sequence[Path]) -> Facts:
     """Read all shards once; CorruptShard if one cannot be read."""
-    objects: list[ObjectFacts] = []
+    return merged([_facts_of(path) for path in shards])
+
+
+def merged(some: Sequence[Facts]) -> Facts:
+    """Return the facts of parts of a data set as those of all of it."""
     fields: dict[str, tuple[str, int]] = {}
-    about: Mapping[str, Attribute] = {}
-    for path in shards:
-        with open_shard(path) as shard:
-            about = shard.attributes
-            rows: dict[str, list[int]] = {}
-            for row, object_id in enumerate(shard.object_ids()):
-                rows.setdefault(object_id, []).append(row)
-            small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
-            objects += [_object(shard, name, some, small) for name, some in rows.items()]
-            for name, shape in shard.fields.items():
-                before = fields.get(name, ("", 0))[1]
-                written = " × ".join(map(str, shape[1:])) or "1"
-                fields[name] = (written, before + shard.stored_bytes(name))
-    return Facts(tuple(objects), about, tuple(shards), fields)
+    for facts in some:
+        for name, (shape, stored) in facts.fields.items():
+            fields[name] = (shape, stored + fields.get(name, ("", 0))[1])
+    objects = tuple(one for facts in some for one in facts.objects)
+    return Facts(objects, some[-1].about, tuple(path for f in some for path in f.shards), fields)
+
+
+def _facts_of(path: Path) -> Facts:
+    with open_shard(path) as shard:
+        rows: dict[str, list[int]] = {}
+        for row, object_id in enumerate(shard.object_ids()):
+            rows.setdefault(object_id, []).append(row)
+        small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
+        return Facts(
+            objects=tuple(_object(shard, name, some, small) for name, some in rows.items()),
+            about=dict(shard.attributes),
+            shards=(path,),
+            fields={
+                name: (" × ".join(map(str, shape[1:])) or "1", shard.stored_bytes(name))
+                for name, shape in shard.fields.items()
+            },
+        )
 
 
 _SMALL = ("state_index", "scale", "joint_kind", "joint_state", "joint_lower", "joint_upper")

@@ -18,7 +18,7 @@ from articugen.core.errors import InvalidArgument
 from articugen.core.files import check_place, write_atomically
 from articugen.inspection.likeness import Likeness, farthest, likeness
 from articugen.inspection.report import sections
-from articugen.inspection.report.facts import Facts, facts
+from articugen.inspection.report.facts import Facts, ObjectFacts, facts
 from articugen.inspection.report.markup import Markup, el
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import Turnable, turnable
@@ -78,17 +78,12 @@ def write_report(
     alike = None if beside is None else (beside, likeness(path, beside))
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     about = facts(shards)
-    category = str(about.about["category"])
-    drawable = [  # as is known without reading a shard again
-        Chosen(category, one.split, one.object_id, [(one.shard, row) for row in one.rows])
-        for one in about.objects
-        if one.points > 1
-    ]
+    shown = drawable(str(about.about["category"]), about.objects)
     report = Report(
         path=path,
         facts=about,
         manifest=manifest,
-        sheet=portraits(some_of(drawable, objects), states=states, pooling=POOLED, size=PICTURE),
+        sheet=portraits(some_of(shown, objects), states=states, pooling=POOLED, size=PICTURE),
         turnable=turnable(about.objects),
         measured=measured(about.objects, manifest),
         alike=alike,
@@ -98,12 +93,21 @@ def write_report(
     return len(data)
 
 
+def drawable(category: str, objects: Sequence[ObjectFacts]) -> list[Chosen]:
+    """Return those with a surface, as is known without reading a shard again."""
+    return [
+        Chosen(category, one.split, one.object_id, [(one.shard, row) for row in one.rows])
+        for one in objects
+        if one.points > 1
+    ]
+
+
 def page(report: Report) -> str:
     """Return the report as a whole HTML document."""
     return document(
         f"{report.facts.about['category']}: report of a data set",
         sections.header(report.path, report.facts, report.manifest),
-        _sections(report),
+        sections_of(report),
         "what the data set holds",
         scene=report.turnable.scene if report.turnable else None,
     )
@@ -116,19 +120,26 @@ def document(
     basis: str,
     *,
     scene: object = None,
+    scripts: Sequence[str] = ("viewer.js",),
+    sources: str = "",
+    complete: str = "This file is complete: it opens without a network.",
 ) -> str:
-    """Return an HTML document that is complete in itself.
+    """Return an HTML document that is complete in itself, or with files beside it.
 
     Args:
         parts: name, title and content of each section.
         basis: what it is written from, for the footer.
         scene: what the script beside turns, if anything.
+        scripts: files of this folder that are its script, one after the other.
+        sources: where else its pictures and scripts may come from, as a policy has it.
+        complete: a sentence for the footer.
     """
     beside = files("articugen.inspection.report")
-    style, script = ((beside / name).read_text("utf-8") for name in ("page.css", "viewer.js"))
+    style, *pieces = ((beside / name).read_text("utf-8") for name in ("page.css", *scripts))
+    script = "".join(pieces)
     policy = (
-        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
-        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; img-src {sources} data:; style-src '{_digest(style)}'; "
+        f"script-src {sources} '{_digest(script)}'; base-uri 'none'; form-action 'none'"
     )
     # data, not code: no `<` in it can end the element
     data = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c") if scene else ""
@@ -156,8 +167,7 @@ def document(
                 for name, heading, inside in parts
             ),
         ),
-        el("footer", el("p", f"Written by articugen {VERSION} from {basis}. "
-                             "This file is complete: it opens without a network.")),
+        el("footer", el("p", f"Written by articugen {VERSION} from {basis}. {complete}")),
         el("script", Markup(data), type="application/json", id_="scene") if data else None,
         el("script", Markup(script)),
     )  # fmt: skip
@@ -171,7 +181,7 @@ def check_html(html: Path) -> None:
     check_place(html)
 
 
-def _sections(report: Report) -> list[tuple[str, str, Markup]]:
+def sections_of(report: Report) -> list[tuple[str, str, Markup]]:
     """Return (name, title, what it says) of each."""
     about, manifest = report.facts, report.manifest
     every = about.objects
@@ -199,9 +209,14 @@ def _sections(report: Report) -> list[tuple[str, str, Markup]]:
 
 def address(picture: Picture) -> str:
     """Return an address that holds a picture."""
+    return f"data:image/webp;base64,{base64.b64encode(webp(picture)).decode()}"
+
+
+def webp(picture: Picture) -> bytes:
+    """Return a picture as the bytes of a file."""
     file = BytesIO()
     picture.save(file, "WEBP", quality=82, method=4)
-    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
+    return file.getvalue()
 
 
 def _digest(text: str) -> str:

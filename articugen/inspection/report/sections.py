@@ -189,15 +189,9 @@ def _occupied(shares: np.ndarray) -> Markup:
 def truth(measured: Measured) -> Markup:
     if not measured.instances:
         return hint(f"Not measured. {measured.why_not}")
-    lines = (
-        ("uniform", "Material, uniform points (IoU)"),
-        ("near", "Material, points near the surface (IoU)"),
-        ("part", "Points in one part that carry its label"),
-        ("surface", "Surface points with their own part right behind"),
-    )
     rows = [
         [title, el("b", f"{measured.total(name):.4%}"), f"{measured.worst(name):.4%}"]
-        for name, title in lines
+        for name, title in _MEASURES
     ]
     objects = len({one.object_id for one in measured.instances})
     sentence = (
@@ -211,6 +205,35 @@ def truth(measured: Measured) -> Markup:
         el("div", table(("", ">All together", ">Worst instance"), rows, "Agreement"),
            class_="card narrow"),
     )  # fmt: skip
+
+
+_MEASURES = (
+    ("uniform", "Material, uniform points (IoU)"),
+    ("near", "Material, points near the surface (IoU)"),
+    ("part", "Points in one part that carry its label"),
+    ("surface", "Surface points with their own part right behind"),
+)
+
+
+def one_object(
+    about: ObjectFacts, manifest: Manifest | None, measured: Measured
+) -> list[tuple[str, str]]:
+    """Return what is known of one object, as titles and texts."""
+    lines = [("Instances", f"{len(about.rows)}"), ("Box", _box(about))]
+    lines.append(("Occupied", _mean([float(about.occupied.mean())])))
+    if measured.instances:
+        lines += [(title, f"{measured.total(name):.2%}") for name, title in _MEASURES]
+    else:
+        lines.append(("Truth", f"Not measured. {measured.why_not}"))
+    if manifest:
+        lines += [("Source", _source(manifest)), ("Licence of the model", manifest.licence)]
+        keys = [o for o in manifest.objects if o.key.object_id == about.object_id]
+        lines += [("Note", note) for o in keys if o.key.split == about.split for note in o.notes]
+    return lines
+
+
+def _box(about: ObjectFacts) -> str:
+    return " × ".join(f"{side:.3g}" for side in about.box) if np.isfinite(about.box).all() else "–"
 
 
 def alike(other: Path, likeness: Likeness, picture: str) -> Markup:
@@ -231,9 +254,8 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     rows: list[list[object]] = []
     for one in every[:MOST_ROWS]:
         entry = entries.get((one.split, one.object_id))
-        box = " × ".join(f"{side:.3g}" for side in one.box) if np.isfinite(one.box).all() else "–"
         rows.append(
-            [one.object_id, one.split, f"{len(one.rows)}", f"{len(one.joints)}", box,
+            [one.object_id, one.split, f"{len(one.rows)}", f"{len(one.joints)}", _box(one),
              _mean([float(one.occupied.mean())]), one.shard.name,
              el("code", entry.content_sha256[:16]) if entry else "–",
              " ".join(entry.notes) if entry else ""]

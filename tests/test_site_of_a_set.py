@@ -1,0 +1,149 @@
+"""A set as a folder of static files: what is in it, whose folder it may be, and in a browser."""
+
+import re
+import shutil
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+from browser import LAPTOP, PHONE, faults_of
+from command_line import run
+from instances import hinged_box
+from ppd_data import shard
+from test_html_report import HOSTILE, STATES, named
+
+from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, printable
+from articugen.inspection.report.site import site
+
+KEY = printable(f"train/{HOSTILE}")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("boxes, ünusual")
+    shard(folder / "train-00000.h5", [named(i) for i in hinged_box(STATES, object_id=HOSTILE)])
+    shard(folder / "test-00000.h5", hinged_box(STATES, object_id="b", seed=1), "test")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sites") / "a set #1"
+    done = site(data, out, jobs=0)
+    files = [path for path in out.rglob("*") if path.is_file()]
+    assert (done.objects, done.bytes) == (2, sum(path.stat().st_size for path in files))
+    return out
+
+
+def test_it_is_made_again_in_its_own_folder_alone(made: Path, data: Path, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in made.rglob("*") if path.is_file()}
+    stale = made / "objects" / "0123456789abcdef.js"
+    theirs = made / "CNAME"
+    for path in (stale, theirs):
+        path.write_text("x")
+    done = run("site", data, "--out", made, "--jobs", 1)
+    assert done.exit_code == 0, done.output
+    assert theirs.read_text() == "x"
+    theirs.unlink()
+    assert {path: path.read_bytes() for path in made.rglob("*") if path.is_file()} == before
+    mine = tmp_path / "index.html"
+    mine.write_text("my page")
+    with pytest.raises(ArticugenError, match=r"holds something else \(index.html\)"):
+        site(data, tmp_path, jobs=0)
+    assert mine.read_text() == "my page"
+    linked = tmp_path / "linked"
+    linked.mkdir()
+    shutil.copy(made / "index.html", linked)
+    (tmp_path / "elsewhere").mkdir()
+    (linked / "objects").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(MachineFault, match="symbolic link"):
+        site(data, linked, jobs=0)
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_a_damaged_shard_leaves_the_former_site_whole(made: Path, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in made.rglob("*") if path.is_file()}
+    shard(tmp_path / "a.h5", hinged_box(STATES, object_id="new"))
+    (tmp_path / "b.h5").write_bytes(b"no shard")
+    with pytest.raises(CorruptShard, match=r"b\.h5"):
+        site(tmp_path, made, jobs=0)
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def opened(chromium: Any, address: str, screen: dict[str, int], count: int) -> tuple[Any, list]:
+    tab = chromium.new_context(viewport=screen).new_page()
+    faults = faults_of(tab, "http://127.0.0.1")
+    tab.goto(address)
+    if count:
+        tab.wait_for_selector(f".viewer[data-ready] >> nth={count - 1}", timeout=90_000)
+    return tab, faults
+
+
+def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: Path) -> None:
+    index = (made / "index.html").as_uri()
+    tab, faults = opened(chromium, index, LAPTOP, 0)
+    assert tab.locator(".tile:visible").count() == 2
+    tab.fill("input[type=search]", "ONERROR")
+    assert tab.locator(".tile:visible").count() == 1
+    tab.fill("input[type=search]", "")
+    tab.select_option("select >> nth=0", "test")
+    assert tab.locator("output >> nth=0").inner_text() == "1 of 2"
+    tab.select_option("select >> nth=0", "")
+    tab.select_option("select >> nth=1", "Largest first")
+    tab.focus(f".tile[href='#object={quote(KEY)}']")
+    tab.keyboard.press("Enter")
+    tab.wait_for_selector(".viewer[data-ready]", timeout=90_000)
+    assert tab.locator("h3 >> nth=0").inner_text() == f"{printable(HOSTILE)} train"
+    assert "Not measured" in tab.inner_text(".shown dl")
+    step = tab.get_by_label("Stored state")
+    step.focus()
+    step.press("End")
+    values = tab.evaluate("articugen.opened()[0].view.get().joints")
+    assert values == pytest.approx([97.403, 0.02], abs=1e-2)
+    tab.click("text=Play stored states")
+    tab.wait_for_timeout(500)
+    tab.click("text=Play stored states")
+    tab.focus("canvas")
+    tab.keyboard.press("ArrowLeft")
+    tab.wait_for_timeout(700)  # the address follows once nothing moves
+    link, state = tab.url, tab.evaluate("articugen.opened()[0].view.get()")
+    tab.select_option("nav.tools select", "test/b")
+    tab.wait_for_selector(".viewer[data-ready] >> nth=1", timeout=90_000)
+    tab.keyboard.press("Escape")
+    assert tab.is_visible(".wall")
+    assert faults == []
+    again, faults = opened(chromium, link, PHONE, 1)
+    found = again.evaluate("articugen.opened()[0].view.get()")
+    for name in ("joints", "camera"):
+        assert found[name] == pytest.approx(state[name], abs=1e-3)
+    assert again.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    lost, _ = opened(chromium, f"{index}#object=train/none", PHONE, 0)
+    assert "There is no train/none" in lost.inner_text("[role=alert]")
+    assert faults == []
+
+
+def test_a_host_serves_it_as_well(chromium: Any, made: Path) -> None:
+    class Quiet(SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args, directory=str(made))
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/#object=test/b&object=test/b"
+        tab, faults = opened(chromium, address, LAPTOP, 2)
+        assert tab.locator("canvas").count() == 2
+        server.shutdown()
+    assert [fault for fault in faults if "404" not in fault] == []  # no picture for its tab
+
+
+def test_names_are_text_and_only_its_own_scripts_run(made: Path) -> None:
+    html = (made / "index.html").read_text()
+    assert "<img src=x" not in html
+    assert "unsafe" not in html[:3000]
+    assert re.search(r"script-src &#x27;self&#x27; file: &#x27;sha256-", html)
