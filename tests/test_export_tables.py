@@ -1,12 +1,15 @@
 """Exports that carry every field, and the metadata beside all, read back by their own readers."""
 
 import json
+from dataclasses import replace
 
 import exports
 import numpy as np
 import pytest
+import yaml
 from exports import name_of
 from instances import hinged_box, without_knob
+from PIL import Image, ImageSequence
 from ppd_data import shard
 from python_process import printed
 from test_html_report import named
@@ -39,6 +42,50 @@ def test_parquet_in_datasets(exported, rows, tmp_path, datasets):
                 stored = np.asarray(row.stored(name))
                 value = np.array(sample[name], dtype=stored.dtype)
                 np.testing.assert_array_equal(value, stored, err_msg=name)
+
+
+def test_the_hub_s_folder_streams_and_shows_pictures(exported, rows, datasets):
+    """As `hf upload` takes it: a picture first, a card that names splits and counts, a preview."""
+    folder = exported("parquet")
+    stream = datasets.load_dataset(str(folder), split="train", streaming=True)
+    assert next(iter(stream.features)) == "image"
+    assert stream.features["image"] == datasets.Image()
+    train = rows.split("train")
+    for sample, row in zip(stream, train, strict=True):
+        assert sample["image"].size == (96, 96)
+        drawn = np.asarray(sample["image"])
+        shown = {int(part) for part in np.unique(row.surface.part)}
+        assert len(np.unique((drawn < 250).any(axis=2))) == 2  # an object on white
+        assert shown == {0, 1, 2}
+        np.testing.assert_array_equal(sample["near_label"], row.near.label)
+    card = (folder / "README.md").read_text()
+    about = yaml.safe_load(card.split("---\n")[1])
+    assert (about["license"], about["size_categories"]) == ("mit", ["n<1K"])
+    (config,) = about["configs"]
+    assert [files["split"] for files in config["data_files"]] == ["train", "test"]
+    assert f"| train | {len(train.objects)} | {len(train)} |" in card
+    with Image.open(folder / "preview.gif") as preview:
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(preview)]
+    assert len(frames) == 16
+    moved = [(frame != frames[0]).any(axis=2).sum() for frame in frames]
+    assert moved[8] > 1000
+    assert moved[1:] == moved[:0:-1]  # there and back
+
+
+def test_parquet_without_a_surface_has_no_picture(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="make exporters installs it")
+    folder = tmp_path / "bare"
+    folder.mkdir()
+    none = {f"surface_{name}": slice(0) for name in ("points", "normals", "part")}
+    bare = [
+        replace(one, **{name: getattr(one, name)[cut] for name, cut in none.items()})
+        for one in hinged_box()
+    ]
+    shard(folder / "train-00000.h5", bare)
+    ag.export(folder, "parquet", tmp_path / "out")
+    (file,) = (tmp_path / "out").glob("data/*.parquet")
+    assert parquet.read_table(file)["image"].null_count == len(bare)
+    assert "preview" not in (tmp_path / "out" / "README.md").read_text()
 
 
 def test_parquet_of_objects_with_unlike_numbers_of_joints_in_datasets(tmp_path, datasets):

@@ -1,20 +1,40 @@
-"""Parquet: every stored field of every instance, for Hugging Face `datasets` and data frames.
+"""Parquet: every stored field of every instance, for the hub of Hugging Face, and for data frames.
 
 Numbers are what shards hold, bit for bit; docs/format.md says what each means and how whole numbers
 become coordinates. All files have one schema, whatever the objects' numbers of joints, and name
-the shapes to `datasets`, which it then gives as arrays and not as lists of lists.
+the shapes to `datasets`, which it then gives as arrays and not as lists of lists. The first column
+is a picture, which the hub's viewer shows, and the card one of some objects that move.
 """
 
 import json
+import os
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from articugen.core import schema
+from articugen.core.arrays import Floats
+from articugen.core.schema import Instance
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name
 from articugen.export.target import Target
+from articugen.pictures.camera import Camera
+from articugen.pictures.contact_sheet import evenly
+from articugen.pictures.layout import gif, in_columns, png
+from articugen.pictures.portrait import (
+    best_azimuth,
+    instance_of,
+    opened,
+    plain_portrait,
+    pooled,
+    swept,
+    tile_camera,
+)
+from articugen.pictures.shading import Picture
+from articugen.pictures.surfels import Surfels
 from articugen.store.dataset import DataSet
 
 if TYPE_CHECKING:
@@ -22,7 +42,17 @@ if TYPE_CHECKING:
 
     import pyarrow
 
-_TEXTS = ("split", "category")
+_IMAGE, _TEXTS = "image", ("split", "category")
+
+_HUB = json.dumps({"info": {"features": {_IMAGE: {"_type": "Image"}}}})
+"""The column that `datasets` is to decode; the others follow from their types."""
+
+_POOLED, _SIDE = 3, 96
+"""Instances whose points make a picture; pixels along its edge."""
+
+_MOVING, _LARGE, _FRAMES, _MILLISECONDS = 4, 128, 9, 120
+"""Objects that the card shows, and their pixels; frames from one end of their joints' ranges to the
+other."""
 
 _EXTENSION = "datasets.features.features.Array{}DExtensionType"
 """How `datasets` marks the columns that it gives as arrays; to readers that do not know it they are
@@ -38,19 +68,52 @@ def _items(data: DataSet) -> "Iterator[Item]":
             yield Item(name, rows)
 
 
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """An object to draw: its discs in the canonical pose, one of its instances, a camera."""
+
+    discs: Surfels
+    instance: Instance
+    camera: Camera
+
+    @staticmethod
+    def of(rows: DataSet, size: int) -> "_Model":
+        instances = [instance_of(row) for row in evenly(rows, _POOLED)]
+        azimuth = best_azimuth(instances[-1:])
+        camera = tile_camera(swept(instances[0]), azimuth, size)
+        return _Model(pooled(instances), instances[0], camera)
+
+    def at(self, T_part: Floats) -> Picture:
+        return plain_portrait(self.discs, T_part, self.camera)
+
+    def opened(self, share: float) -> Picture:
+        return self.at(opened(self.instance, share) @ self.instance.part_motion)
+
+
+def _has_surface(data: DataSet) -> bool:
+    return data.fields["surface_points"][0] > 1
+
+
 def _write(item: Item, target: Target) -> None:
     import pyarrow as pa  # noqa: PLC0415 - optional
     from pyarrow import parquet  # noqa: PLC0415
 
     layout = _layout(item.rows.fields)
+    model = _Model.of(item.rows, _SIDE) if _has_surface(item.rows) else None
+
+    def picture(number: int) -> dict[str, Any] | None:
+        motion = item.rows[number].stored("part_motion")
+        return {"bytes": png(model.at(motion)), "path": None} if model else None
+
     with (
         target.opened(f"{item.key}.parquet") as file,
         parquet.ParquetWriter(file, layout, compression="zstd") as writer,
+        ThreadPoolExecutor(os.cpu_count()) as pool,
     ):
-        for row in item.rows:
+        for row, image in zip(item.rows, pool.map(picture, range(len(item.rows))), strict=True):
             texts = {"split": row.split, "category": row.category}
-            columns = []
-            for field in layout:
+            columns = [pa.array([image], layout.field(_IMAGE).type)]
+            for field in list(layout)[1:]:
                 if field.name in texts or field.name in row.fields:
                     value = texts.get(field.name) or row.stored(field.name)
                     columns.append(_column(value, field.type))
@@ -67,7 +130,8 @@ def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
     """
     import pyarrow as pa  # noqa: PLC0415
 
-    columns = [pa.field(name, pa.string()) for name in _TEXTS]
+    image = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+    columns = [pa.field(_IMAGE, image), *(pa.field(name, pa.string()) for name in _TEXTS)]
     for field in schema.FIELDS:
         is_text = field.dtype == "S"
         for name in [field.name] if is_text else filter(field.matches, shapes):
@@ -82,9 +146,9 @@ def _layout(shapes: Mapping[str, tuple[int, ...]]) -> "pyarrow.Schema":
                 about["ARROW:extension:name"] = _EXTENSION.format(len(shape))
                 about["ARROW:extension:metadata"] = json.dumps([shape, np.dtype(field.dtype).name])
             for size in reversed(shape):
-                kind = pa.list_(kind, -1 if size is None or len(shape) > 1 else size)
+                kind = pa.list_(kind, -1 if not size or len(shape) > 1 else size)
             columns.append(pa.field(name, kind, metadata={k: v for k, v in about.items() if v}))
-    return pa.schema(columns)
+    return pa.schema(columns, {"huggingface": _HUB})
 
 
 def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
@@ -92,6 +156,8 @@ def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
     import pyarrow as pa  # noqa: PLC0415
 
     shape, kinds = np.shape(value), [kind]
+    if 0 in shape:
+        return pa.array([np.asarray(value).tolist()], kind)
     while not pa.types.is_primitive(kinds[-1]) and kinds[-1] != pa.string():
         kinds.append(kinds[-1].value_type)
     leaf = kinds.pop()
@@ -107,34 +173,80 @@ def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
 
 
 def _finish(data: DataSet, target: Target) -> None:
-    """Write the card that Hugging Face reads: which files are which split, and what scales what."""
+    """Write what Hugging Face shows: the card, and a picture of some objects that move."""
+    moving = ""
+    if _has_surface(data):
+        moving = f"\n![Some of the objects, opening]({_PREVIEW})\n"
+        target.write(_PREVIEW, _moving(data))
     licence = data.manifest.licence if data.manifest else "unknown"
-    splits = "\n".join(
+    known = licence.lower() in _LICENCES
+    size = next((name for most, name in _SIZES if len(data) < most), _SIZES[-1][1])
+    counts = [
+        f"| {name} | {len(data.split(name).objects):,} | {count:,} |"
+        for name, count in data.splits.items()
+    ]
+    splits = [
         f"  - split: {file_name(name)}\n    path: data/{file_name(name)}-*" for name in data.splits
-    )
+    ]
     target.write("README.md", _CARD.format(
-        name=json.dumps(f"{data.category}, made by articugen"), licence=json.dumps(licence),
-        splits=splits, category=data.category,
+        name=json.dumps(f"{data.category}, made by articugen"), category=data.category,
+        licence=licence.lower() if known else f"other\nlicense_name: {json.dumps(licence)}",
+        size=size, splits="\n".join(splits), counts="\n".join(counts), moving=moving,
     ).encode())  # fmt: skip
 
 
+def _moving(data: DataSet) -> bytes:
+    """Return a GIF of some objects, whose joints go through their ranges together and back."""
+    models = [_Model.of(rows, _LARGE) for _, rows in evenly(list(data.by_object()), _MOVING)]
+    shares = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _FRAMES))
+    frames = [in_columns([model.opened(s) for model in models], _MOVING) for s in shares]
+    return gif([*frames, *frames[-2:0:-1]], _MILLISECONDS)
+
+
+_PREVIEW = "preview.gif"
+
+_LICENCES = {"mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "apache-2.0"}
+"""Those that the hub knows by these names."""
+
+_SIZES = (
+    (1e3, "n<1K"),
+    (1e4, "1K<n<10K"),
+    (1e5, "10K<n<100K"),
+    (1e6, "100K<n<1M"),
+    (1e7, "1M<n<10M"),
+)
+"""The hub's words for numbers of rows below these."""
+
 _CARD = """---
 pretty_name: {name}
-license_name: {licence}
-license: other
+license: {licence}
+size_categories:
+- {size}
+task_categories:
+- robotics
+tags:
+- 3d
+- articulated-objects
+- robotics
+- point-cloud
+- occupancy
 configs:
 - config_name: default
   data_files:
 {splits}
 ---
 # {category}
-
+{moving}
 Each row is an object at one joint state. Columns are the fields of articugen's format, as stored:
 points are `stored / 65535 - 0.5` in the unit frame, normals `stored / 127`.
+
+| split | objects | rows |
+|---|---:|---:|
+{counts}
 """
 
 FORMAT = Format(
-    "every stored field, bit for bit; loads with Hugging Face datasets",
+    "every stored field, bit for bit, and pictures; what Hugging Face's hub shows",
     _items,
     _write,
     _finish,

@@ -19,7 +19,7 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
 from articugen.export.target import Target
-from articugen.pictures.layout import save
+from articugen.pictures.layout import png
 from articugen.pictures.portrait import AZIMUTHS, solid_portrait, tile_camera
 from articugen.pictures.shading import Picture, linear
 from articugen.pictures.solids import ColouredMesh
@@ -42,11 +42,11 @@ def _write(item: Item, target: Target) -> None:
     name = item.key.rpartition("/")[2]
     file = f"{name}.usdc"  # alone in a folder of the object's own: SimReady's NP.005
     with tempfile.TemporaryDirectory() as aside:  # a stage has no other way to bytes
-        path, picture = Path(aside) / "object.usdc", Path(aside) / "object.png"
+        path = Path(aside) / "object.usdc"
         _fill(path, name, item, bodies(item, target))
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-        save(_thumbnail(target.meshes.of(item.rows)), picture)
-        target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", picture.read_bytes())
+        drawn = _thumbnail(target.meshes.of(item.rows))
+        target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(drawn))
 
 
 def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:

@@ -7,14 +7,12 @@ imported when the first is drawn.
 # ruff: noqa: PLC0415
 import base64
 import html
-import io
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from articugen.core.errors import ArticugenError
-from articugen.core.schema import Instance
 from articugen.store.dataset import DataSet, open
 from articugen.store.rows import Row
 
@@ -39,26 +37,16 @@ def of_data(data: DataSet) -> str:
 
 def of_row(row: Row) -> str:
     """Return the surface points of a row, coloured by part, as HTML."""
-    from articugen.pictures.portrait import AZIMUTHS, pooled, portrait, tile_camera
+    from articugen.pictures.layout import png
+    from articugen.pictures.portrait import AZIMUTHS, instance_of, pooled, portrait, tile_camera
 
     if len(row.surface) < 2:
         return _page(b"", repr(row))
-    names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
-    surface = {f"surface_{n}": row.stored(f"surface_{n}") for n in ("points", "normals", "part")}
-    instance = Instance(
-        object_id=row.object_id,
-        state_index=row.state_index,
-        center=row.center,
-        scale=row.scale,
-        part_motion=row.stored("part_motion"),
-        **{f"joint_{name}": row.stored(f"joint_{name}") for name in names},
-        **surface,
-    )
+    instance = instance_of(row)
     points = np.asarray(row.surface.points, np.float64)
     camera = tile_camera(points, AZIMUTHS[0])
-    file, floor = io.BytesIO(), float(points[:, 2].min())
-    portrait(pooled([instance]), instance, camera, floor).save(file, "PNG")
-    return _page(file.getvalue(), repr(row))
+    drawn = portrait(pooled([instance]), instance, camera, float(points[:, 2].min()))
+    return _page(png(drawn), repr(row))
 
 
 def _page(picture: bytes, text: str) -> str:

@@ -1,5 +1,6 @@
 """Captioned pictures in rows."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from articugen.core.errors import InvalidArgument
-from articugen.core.files import check_place, written_atomically
+from articugen.core.files import check_place, write_atomically
 from articugen.pictures.shading import PAPER, Picture
 
 INK, GREY = "#333333", "#8a8a8a"
@@ -65,8 +66,22 @@ def check_picture(path: Path) -> None:
 
 def save(picture: Picture, path: Path) -> None:
     """Write a PNG, in place of what is called so: a link to elsewhere, say; or MachineFault."""
-    with written_atomically(path) as file:
-        picture.save(file, "PNG", compress_level=6)
+    write_atomically(path, png(picture))
+
+
+def png(picture: Picture) -> bytes:
+    """Return a picture as a PNG."""
+    file = io.BytesIO()
+    picture.save(file, "PNG", compress_level=6)
+    return file.getvalue()
+
+
+def gif(frames: Sequence[Picture], milliseconds: int) -> bytes:
+    """Return pictures as one that moves for ever, all in the same 128 colours."""
+    palette, file = in_columns(frames, 1).quantize(128), io.BytesIO()
+    first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    first.save(file, "GIF", save_all=True, append_images=others, duration=milliseconds, loop=0)
+    return file.getvalue()
 
 
 def _lines(caption: Caption) -> list[Caption]:

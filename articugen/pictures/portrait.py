@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.colours import colour_of
+from articugen.core.colours import PALETTE
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
@@ -20,8 +20,13 @@ from articugen.pictures.shading import SUPERSAMPLING, Picture, linear, shaded
 from articugen.pictures.solids import ColouredMesh, draw_solid, spread
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, Surfels, surfels
+from articugen.store.rows import Row
 
 NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
+_NO_CLOUD = spread(NOTHING.triangles, 0)
+
+_LIGHT = (PALETTE / 255.0) ** 2.2
+"""(256, 3) the colour of each part, as linear light."""
 
 AZIMUTHS = tuple(np.radians((-35.0, 35.0, 145.0, 215.0)))
 ELEVATION = float(np.radians(27.0))
@@ -38,6 +43,23 @@ def oriented_points(instance: Instance) -> OrientedPoints:
     normals = instance.surface_normals.astype(np.float64)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return OrientedPoints(dequantize(instance.surface_points), normals, instance.surface_part)
+
+
+def instance_of(row: Row) -> Instance:
+    """Return what pictures show of a row: its surface points and its joints."""
+    names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
+    fields = [
+        *(f"joint_{n}" for n in names),
+        *(f"surface_{n}" for n in ("points", "normals", "part")),
+    ]
+    return Instance(
+        object_id=row.object_id,
+        state_index=row.state_index,
+        center=row.center,
+        scale=row.scale,
+        part_motion=row.stored("part_motion"),
+        **{name: row.stored(name) for name in fields},
+    )
 
 
 def pooled(instances: Sequence[Instance]) -> Surfels:
@@ -67,25 +89,32 @@ def _seen(discs: Surfels, azimuth: float) -> float:
     return float((visible / np.maximum(np.bincount(discs.part, minlength=256), 1)).sum())
 
 
-def swept(canonical: Instance) -> Floats:
+def swept(instance: Instance) -> Floats:
     """Return (n, 3) where its surface points come when its joints go through their ranges
     together."""
-    points, J = dequantize(canonical.surface_points), len(canonical.joint_kind)
-    everywhere = []
+    points, everywhere = dequantize(instance.surface_points), []
     for share in SWEPT:
-        motion = np.tile(np.eye(4), (J + 1, 1, 1))
-        for j in range(J):  # parents come before their children
-            axis, pivot = canonical.joint_axis[j], canonical.joint_pivot[j]
-            q = (1.0 - share) * canonical.joint_lower[j] + share * canonical.joint_upper[j]
-            if canonical.joint_kind[j] == JointKind.PRISMATIC:
-                moved = transform(translation=q * axis)
-            else:
-                R = rotation_about(axis, q)
-                moved = transform(R, pivot - R @ pivot)
-            motion[j + 1] = motion[canonical.joint_parent[j]] @ moved
-        for part in range(J + 1):
-            everywhere.append(apply(motion[part], points[canonical.surface_part == part]))
+        for part, T in enumerate(opened(instance, share)):
+            everywhere.append(apply(T, points[instance.surface_part == part]))
     return np.concatenate(everywhere)
+
+
+def opened(instance: Instance, share: float) -> Floats:
+    """Return (P, 4, 4) how each part moves from this pose to the one in which all joints are at
+    this share of their ranges."""
+    J = len(instance.joint_kind)
+    motion = np.tile(np.eye(4), (J + 1, 1, 1))
+    for j in range(J):  # parents come before their children
+        axis, pivot = instance.joint_axis[j], instance.joint_pivot[j]
+        q = (1.0 - share) * instance.joint_lower[j] + share * instance.joint_upper[j]
+        q -= instance.joint_state[j]
+        if instance.joint_kind[j] == JointKind.PRISMATIC:
+            moved = transform(translation=q * axis)
+        else:
+            R = rotation_about(axis, q)
+            moved = transform(R, pivot - R @ pivot)
+        motion[j + 1] = motion[instance.joint_parent[j]] @ moved
+    return motion
 
 
 def portrait(
@@ -106,9 +135,15 @@ def portrait(
     coarse = SurfaceCloud(
         points.points, points.normals, np.full(len(points.points), points.spacing() ** 2)
     )
-    palette = _palette([colour_of(k) for k in range(256)])
-    picture = nearer(draw(posed, palette[posed.part], camera), _drawn(beside, camera))
+    picture = nearer(draw(posed, _LIGHT[posed.part], camera), _drawn(beside, camera))
     return shaded(picture, camera, coarse, posed.cloud, floor)
+
+
+def plain_portrait(discs: Surfels, T_part: Floats, camera: Camera) -> Picture:
+    """Draw `pooled` discs, moved by `T_part` (P, 4, 4), without shadows: twice as fast, and the
+    same on all machines."""
+    posed = discs.moved(T_part)
+    return shaded(draw(posed, _LIGHT[posed.part], camera), camera, _NO_CLOUD, _NO_CLOUD, 0.0)
 
 
 def solid_portrait(
