@@ -120,3 +120,62 @@ def test_plain_urdfs_beside_others_deep_down_are_not_lost(tmp_path):
     (tmp_path / "data" / "PartNeXt" / "own.urdf").write_text(URDF.replace("{mesh}", "x.obj"))
     assert set(found(tmp_path, "laptop")) == {"a1"}
     assert set(found(tmp_path, "data")) == {"a1", "own"}
+
+
+@pytest.mark.parametrize(
+    ("model", "package"),
+    [
+        ("robots/arm/robots", "example-robot-data"),  # the source itself, cloned, no package.xml
+        ("robots/arm/urdf", "robots"),
+        ("arm", "meshes_of_arm"),  # beside the model
+    ],
+)
+def test_a_package_is_found_by_the_name_of_a_folder_in_the_source(tmp_path, model, package):
+    source = tmp_path / "example-robot-data"
+    place = next((f for f in (source, source / "robots") if f.name == package), source / package)
+    write_urdf(source / model / "m.urdf", f"package://{package}/arm/box.obj", place / "arm/box.obj")
+    check(load(open_source(source).objects("robot")[0]))
+    (model,) = open_source(source / "arm" if package[0] == "m" else source / "robots/arm").objects(
+        "a"
+    )
+    with pytest.raises(InvalidSource, match="name its folder as the source"):
+        load(model)
+
+
+def test_a_folder_called_like_the_package_that_leads_out_is_none(tmp_path):
+    write_urdf(
+        tmp_path / "in" / "arm" / "m.urdf", "package://p/box.obj", tmp_path / "p" / "box.obj"
+    )
+    (tmp_path / "in" / "p").symlink_to(tmp_path / "p")
+    with pytest.raises(InvalidSource, match="is of a package that is not found"):
+        load(open_source(tmp_path / "in").objects("robot")[0])
+
+
+def test_bullets_xml_of_version_0_is_read_with_a_note(tmp_path):
+    write_urdf(tmp_path / "m.urdf", "box.obj", tmp_path / "box.obj")
+    text = (tmp_path / "m.urdf").read_text()
+    (tmp_path / "m.urdf").write_text(f'<?xml version="0.0" ?>\n{text}')
+    (model,) = open_source(tmp_path).objects("robot")
+    check(load(model))
+    assert load(model).notes == ("its XML version 0.0 is read as 1.0",)
+
+
+def test_folders_with_a_mobility_usd_are_objects(tmp_path):
+    for name in ("10040", "10101"):
+        (tmp_path / "Laptop" / name).mkdir(parents=True)
+        (tmp_path / "Laptop" / name / "mobility.usd").touch()
+    for source in (tmp_path, tmp_path / "Laptop"):
+        assert found(source, "laptop") == {"10040": "usd", "10101": "usd"}
+    (tmp_path / "Laptop" / "10040" / "meta.json").write_text('{"model_cat": "Oven"}')
+    assert set(found(tmp_path / "Laptop", "oven")) == {"10040"}
+
+
+def test_models_without_a_category_are_apart_from_those_with_one(tmp_path):
+    sketch(tmp_path / "data" / "laptop" / "a1")
+    sketch(tmp_path / "data" / "oven" / "b1")
+    write_urdf(tmp_path / "own.urdf", "box.obj", tmp_path / "box.obj")
+    source = open_source(tmp_path)
+    assert source.categories(["all"]) == ("laptop", "oven", "object")
+    assert [set(found(tmp_path, c)) for c in ("laptop", "object")] == [{"a1"}, {"own"}]
+    with pytest.raises(InvalidSource, match="there are: laptop, oven, object"):
+        source.objects("lamp")

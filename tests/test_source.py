@@ -135,7 +135,7 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     add(tmp_path / "300" / "motion_attributes.json", "{}")
     (tmp_path / "300" / "part_objs").mkdir()
     add(tmp_path / "400" / "x.urdf")
-    refs = open_source(tmp_path).objects("laptop")
+    refs = [r for c in ("laptop", "object") for r in open_source(tmp_path).objects(c)]
     assert ids(refs) == ["100", "300", "400"]
     seen = []
 

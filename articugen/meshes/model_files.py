@@ -1,8 +1,8 @@
 """The files of one model: found by the names a URDF uses, confined to the model, read and hashed.
 
 A model may come from a stranger, so a name that leads out of the model's folder is refused, through
-symbolic links too. The one exception is ROS's `package://name/...`: it may lead into the folder
-above the URDF that has a package.xml of that name, no higher than the folder that somebody named.
+symbolic links too. The one exception is ROS's `package://name/...`: it may lead into the folder of
+that package, no higher than the folder that somebody named.
 Only regular files are read, and none whose size has not been checked.
 """
 
@@ -146,28 +146,28 @@ class ModelFiles:
         return _existing(_confined(self.folder / path, self.root, by))
 
     def _search_package(self, name: str, by: str) -> Path:
-        """Find the folder of a ROS package: one above, up to `top`, whose package.xml says so, or
-        one in the root.
-
-        A folder that is merely called like the package counts only where it cannot lead out: the
-        root, a folder between it and the URDF, or a folder directly in the root.
-        """
-        ancestors = (self.folder, *self.folder.parents)
-        for folder in ancestors:
-            may_be = folder.is_relative_to(self.top) or folder.is_relative_to(self.root)
-            if may_be and _package_name(folder / "package.xml") == name:
+        """Find the folder of a ROS package, in the root or one above it up to `top`: the nearest
+        above the model whose package.xml says so, or one that is merely called like the package: a
+        folder of the model's path, or one directly in the root or in a folder above."""
+        above = [f for f in (self.folder, *self.folder.parents) if self._is_ours(f)]
+        for folder in above:
+            if _package_name(folder / "package.xml") == name:
                 return folder
-        for folder in ancestors:
-            if folder.name == name and folder.is_relative_to(self.root):
-                return folder
-        inside = _real(self.root / name)
-        if os.path.isdir(inside) and inside.is_relative_to(self.root):
-            return inside
+        beyond = [f for f in above if not f.is_relative_to(self.root)]
+        called = [f for f in above if f not in beyond]
+        called += [self.root / name, *(path for f in beyond for path in (f, f / name))]
+        for folder in called:
+            real = _real(folder)
+            if folder.name == name and os.path.isdir(real) and self._is_ours(real):
+                return real
         raise InvalidSource(
             f"{by} is of a package that is not found: no folder above, up to {self.top}, has a "
-            f"package.xml of the name {quoted(name)}, and there is no such folder in {self.root}; "
-            "put the package there, or name its folder as the source"
+            f"package.xml of the name {quoted(name)}, is called so or holds such a folder; put the "
+            "package there, or name its folder as the source"
         )
+
+    def _is_ours(self, folder: Path) -> bool:
+        return folder.is_relative_to(self.root) or folder.is_relative_to(self.top)
 
 
 class FilesInMemory(ModelFiles):

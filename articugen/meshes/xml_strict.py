@@ -1,5 +1,6 @@
 """XML from strangers: parsed without recovery, entities, network or DOCTYPE."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,11 +8,14 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from articugen.core.errors import InvalidSource
 
+OLD_VERSION = re.compile(rb"""(<\?xml\s+version\s*=\s*["'])0\.0(?=["'])""")
+"""What files of Bullet begin with; libxml2 knows no such version."""
+
 
 def parse_xml(data: bytes, path: Path) -> Any:
     """Return the root element (lxml) of a well-formed document without DOCTYPE, comments removed;
     `path` is its name for messages. libxml2's own limits stay on (`huge_tree=False`): depth 256, 10
-    MB in one text.
+    MB in one text. Version 0.0 is read as 1.0.
 
     Raises:
         InvalidSource: not well-formed, too deep, too large, or with a DOCTYPE.
@@ -26,8 +30,9 @@ def parse_xml(data: bytes, path: Path) -> Any:
         remove_comments=True,
         remove_pis=True,
     )
+    start = OLD_VERSION.match(data)
     try:
-        root = etree.fromstring(data, parser)
+        root = etree.fromstring(start[1] + b"1.0" + data[start.end() :] if start else data, parser)
     except (etree.XMLSyntaxError, ValueError, LookupError) as error:
         if getattr(error, "code", None) == etree.ErrorTypes.ERR_NO_MEMORY:
             raise MemoryError(f"{path}: no memory to read it") from None

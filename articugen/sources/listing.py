@@ -9,7 +9,7 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource
 from articugen.sources import readers, urdf_files
 from articugen.sources.folders import visible
-from articugen.sources.refs import Found
+from articugen.sources.refs import NO_CATEGORY, Found
 from articugen.sources.source_file import SourceFile, plain, unknown
 
 
@@ -34,8 +34,8 @@ def of_category(models: Collection[Found], file: SourceFile, name: str) -> list[
 
 def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
     """Return the models of a category in a folder that no source.yaml describes, or the one in a
-    file; any name will do for those that do not state theirs. `file` says what categories are
-    called.
+    file; where none states its category any name will do, else those that do not are of
+    NO_CATEGORY. `file` says what categories are called.
 
     Raises:
         InvalidSource: there is none; models that state their category, all another.
@@ -51,11 +51,13 @@ def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
         models = any_models(path / category)
     else:
         every = list(mixed_models(path, file))
-        models = of_category(every, file, category)
+        others = [f for f in every if not f.kinds]
         known = sorted({f.kinds[0] for f in every if f.kinds})
-        if known and not models:
-            raise unknown(str(path), category, known)
-        models += [f for f in every if not f.kinds]
+        models = of_category(every, file, category)
+        if not models and (not known or category == NO_CATEGORY):
+            models = others
+        elif not models:
+            raise unknown(str(path), category, known + [NO_CATEGORY] * bool(others))
     if not models:
         raise InvalidSource(
             f"{path}: holds no URDF, MJCF or USD; put each model there as <id>.urdf, <id>.usd or "

@@ -12,6 +12,7 @@ from articugen.core.geometry import rotation_about, transform
 from articugen.core.yaml_files import Section
 
 NO_LICENCE = "not stated"  # of models that no source.yaml describes
+NO_CATEGORY = "object"  # of models beside others that state theirs
 
 Share = Annotated[NonNegativeInt, Field(le=1_000_000)] | tuple[str, ...] | None
 

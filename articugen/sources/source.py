@@ -20,7 +20,7 @@ from articugen.sources import listing, procedural, readers
 from articugen.sources.by_joints import of_joints
 from articugen.sources.folders import visible
 from articugen.sources.readers import Maker
-from articugen.sources.refs import NO_LICENCE, CategorySettings, Found, ObjectRef
+from articugen.sources.refs import NO_CATEGORY, NO_LICENCE, CategorySettings, Found, ObjectRef
 from articugen.sources.source_file import (
     SourceFile,
     common_categories,
@@ -95,10 +95,9 @@ class Source:
         if "all" in names and self.yaml:
             there = [name for name, splits in self.counts().items() if splits]
         elif "all" in names:
-            kinds = (
-                model.kinds for model in listing.mixed_models(self.folder, self.file) if model.kinds
-            )
-            there = sorted({next(filter(None, map(self.file.own_name, k)), k[0]) for k in kinds})
+            kinds = {model.kinds for model in listing.mixed_models(self.folder, self.file)}
+            stated = {next(filter(None, map(self.file.own_name, k)), k[0]) for k in kinds if k}
+            there = sorted(stated) + [NO_CATEGORY] * bool(stated and () in kinds)
         if "all" in names and not there:
             raise InvalidSource(
                 f"{self.name}: does not state the categories of its models; name one instead "
@@ -290,12 +289,11 @@ class Source:
         if not self.yaml and (not path.is_dir() or readers.detect(path)):
             return None
         wanted = self.file.words(listed)
-        folders = [path]  # then those in it that are called like the category
         if not self.yaml and (path / category).is_dir():
             folders = [path / category]
         else:
             like = [child for child in visible(path) if plain(child.name) in wanted]
-            folders += sorted(like, key=lambda child: plain(child.name) != plain(listed))
+            folders = [*sorted(like, key=lambda child: plain(child.name) != plain(listed)), path]
         for folder in folders:
             models = listing.called(object_id, folder, self.file.reader if self.yaml else "")
             if not models:
@@ -410,7 +408,7 @@ def load_path(path: str | Path, category: str = "") -> ArticulatedObject:
             f"{printable(str(models[0].location))}"
         )
     source = Source(str(path), path, None, common_categories())
-    (ref,) = source._refs(models, category or models[0].category or "object")
+    (ref,) = source._refs(models, category or models[0].category or NO_CATEGORY)
     return readers.load(ref)
 
 

@@ -23,7 +23,7 @@ from articugen.core.portable import norm
 from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
 from articugen.meshes import read
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
-from articugen.meshes.xml_strict import tostring
+from articugen.meshes.xml_strict import OLD_VERSION, tostring
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.shapes import Shapes
 from articugen.sources.urdf_check import checked_robot
@@ -72,7 +72,9 @@ def load_urdf(
     if top and not above.resolve().is_relative_to(top.resolve()):
         above = path.parent
     files = files or ModelFiles(path.parent, root or above, top)
-    checked, unseen = checked_robot(files.read(path, MAX_TEXT_BYTES), path)
+    text = files.read(path, MAX_TEXT_BYTES)
+    checked, unseen = checked_robot(text, path)
+    odd = ("its XML version 0.0 is read as 1.0",) if OLD_VERSION.match(text) else ()
     visuals = _Visuals(path, files, missing_ok, _take_visuals(checked))
     origins = {j.get("name"): _take_origin(j) for j in checked.findall("joint")}
     clean = io.BytesIO(tostring(checked))
@@ -89,7 +91,7 @@ def load_urdf(
         T_world_root=np.eye(4) if T_world_root is None else T_world_root,
         sha256=files.sha256(),
         source=source,
-        notes=visuals.notes(unseen),
+        notes=(*odd, *visuals.notes(unseen)),
     )
     if not any(len(link.mesh.faces) for link in obj.links):
         raise InvalidSource(f"{path}: no link has a <visual> with a shape; add one")

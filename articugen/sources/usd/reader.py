@@ -4,6 +4,7 @@ ArtVIP's lie in `Articulated_objects/<group>/<category>/<id>/`, with `model_<id>
 name, and the layers that it names in `resource/`.
 """
 
+import re
 from os.path import isdir
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject, Link
 from articugen.meshes import read
-from articugen.sources.folders import has_urdf, visible
+from articugen.sources.folders import has_urdf, meta_category, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd.apart import digest_apart, read_apart
 from articugen.sources.usd.layers import SUFFIXES
@@ -32,7 +33,9 @@ def detect(path: Path) -> Found | None:
     whose mesh or copy it then is.
     """
     if isdir(path):
-        return Found(path.name, path, path.name) if main_file(path) else None
+        if not main_file(path):
+            return None
+        return Found(path.name, path, path.name, category=meta_category(path))
     if path.suffix.lower() not in SUFFIXES or _is_of_another(path):
         return None
     return Found(path.stem, path, path.stem)
@@ -40,7 +43,8 @@ def detect(path: Path) -> Found | None:
 
 def main_file(folder: Path) -> Path | None:
     """Return the file of a folder that is a model: of several the one that is called like the
-    folder, or model_<...>; a single one where layers lie in a folder beside it."""
+    folder, or as data sets call it in all folders; a single one where layers lie in a folder beside
+    it."""
     there = visible(folder)
     files = [path for path in there if path.suffix.lower() in SUFFIXES]
     if not files or has_urdf(folder):
@@ -48,7 +52,7 @@ def main_file(folder: Path) -> Path | None:
     called = (folder.name.lower(), f"model_{folder.name.lower()}")
     for chosen in (
         [path for path in files if path.stem.lower() in called],
-        [path for path in files if path.stem.lower().startswith("model_")],
+        [path for path in files if re.match(r"(model|mobility)(_|$)", path.stem.lower())],
         files if any(path.name.lower() in LAYER_FOLDERS for path in there) else [],
     ):
         if len(chosen) == 1 and not isdir(chosen[0]):
