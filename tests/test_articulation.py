@@ -455,6 +455,15 @@ def test_states_are_uniform_independent_and_inside_their_ranges():
     np.testing.assert_allclose(np.corrcoef(unit.T), np.eye(3), atol=5 * 0.022)
 
 
+def test_after_a_state_one_joint_alone_is_drawn_anew():
+    obj = resolve(tree(joint("a"), joint("b"), joint("c")), Articulation())
+    before = JointState(np.array([0.1, 0.2, 0.3]))
+    for turn in range(4):
+        plain = sample_joint_state(obj, rng=np.random.default_rng(turn)).q
+        q = sample_joint_state(obj, rng=np.random.default_rng(turn), before=before, turn=turn).q
+        np.testing.assert_array_equal(q, np.where(np.arange(3) == turn % 3, plain, before.q))
+
+
 def test_one_generator_gives_one_state():
     obj = resolve(scissors(), Articulation())
     first, again = (sample_joint_state(obj, rng=np.random.default_rng(0)) for _ in range(2))

@@ -40,6 +40,8 @@ class Articulation(_Section):
 
     Attributes:
         states: random joint states per object, besides instance 0, the canonical pose.
+        one_at_a_time: in each only one joint is not as in the state before, each in its turn, as
+            Ditto's scenes want it.
         canonical: which URDF joint value is the canonical pose (q = 0); `source` asks source.yaml.
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.
@@ -55,6 +57,7 @@ class Articulation(_Section):
     """
 
     states: int = Field(default=100, ge=0, le=65_535)
+    one_at_a_time: bool = False
     canonical: Literal["source", "zero", "lower", "upper"] = "source"
     revolute_degrees: tuple[_Degrees, _Degrees] = (0.0, 135.0)
     prismatic_metres: tuple[_Metres, _Metres] | None = None
@@ -186,7 +189,7 @@ class Images(_Section):
 
 
 _LATER = {
-    "articulation": ("collision", "collision_depth"),
+    "articulation": ("one_at_a_time", "collision", "collision_depth"),
     "sampling": (
         *("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
         *("partial_cameras", "kinect_metres"),

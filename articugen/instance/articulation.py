@@ -118,13 +118,25 @@ def driven_state(obj: ArticulatedObject, drivers: Mapping[str, float]) -> JointS
     return JointState(q)
 
 
-def sample_joint_state(obj: ArticulatedObject, *, rng: np.random.Generator) -> JointState:
+def sample_joint_state(
+    obj: ArticulatedObject,
+    *,
+    rng: np.random.Generator,
+    before: JointState | None = None,
+    turn: int = 0,
+) -> JointState:
     """Draw a joint state of a resolved object: each driver uniform in its range, the others follow.
 
-    Draws one number a driver, in part order.
+    Draws one number a driver, in part order. Of these only that of driver `turn`, counted round,
+    replaces what the state `before` has, if there is one.
     """
     drivers = [joint for joint in obj.moving_joints if joint.mimic is None]
-    return driven_state(obj, {j.name: rng.uniform(j.lower, j.upper) for j in drivers})
+    q = {j.name: rng.uniform(j.lower, j.upper) for j in drivers}
+    if before is not None:
+        only = drivers[turn % len(drivers)].name
+        known = zip([joint.name for joint in obj.moving_joints], before.q.tolist(), strict=True)
+        q = {**dict(known), only: q[only]}
+    return driven_state(obj, q)
 
 
 def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject:

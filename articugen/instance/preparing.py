@@ -156,13 +156,11 @@ def prepare(
         )
     if obj.part_count > MOST_PARTS:
         raise RejectedInstance(f"{obj.part_count} parts; at most {MOST_PARTS} can be labelled")
-    rngs = (
-        generator(seed, obj.category, obj.object_id, index, "joints")
-        for index in range(1, recipe.articulation.states + 1)
-    )
-    random = (articulation.sample_joint_state(obj, rng=rng) for rng in rngs)
-    states = (articulation.canonical_state(obj), *random)
-    prepared = _prepared(obj, recipe, seed, states, reach)
+    states = [articulation.canonical_state(obj)]
+    for index in range(1, recipe.articulation.states + 1):
+        rng = generator(seed, obj.category, obj.object_id, index, "joints")
+        states.append(_next_state(obj, recipe, states, rng))
+    prepared = _prepared(obj, recipe, seed, tuple(states), reach)
     if recipe.articulation.collision == "reject":
         apart, again = _states_apart(prepared)
         if again:
@@ -170,6 +168,14 @@ def prepare(
             obj = replace(obj, notes=(*obj.notes, note))
             prepared = _prepared(obj, recipe, seed, apart, reach)
     return prepared
+
+
+def _next_state(
+    obj: ResolvedObject, recipe: Recipe, states: Sequence[JointState], rng: np.random.Generator
+) -> JointState:
+    """Draw the state after `states`, of which there is at least the canonical one."""
+    before = states[-1] if recipe.articulation.one_at_a_time else None
+    return articulation.sample_joint_state(obj, rng=rng, before=before, turn=len(states) - 1)
 
 
 def _prepared(
@@ -299,8 +305,8 @@ def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
     states, again = [p.states[0]], 0
     for index in range(1, len(p.states)):
         rng = p.rng(index, "joints")
-        drawn = (articulation.sample_joint_state(p.obj, rng=rng) for _ in range(MOST_DRAWS))
-        for draw, state in enumerate(drawn):  # the first is that of `p`
+        for draw in range(MOST_DRAWS):  # the first is that of `p`
+            state = _next_state(p.obj, p.recipe, states, rng)
             if not fusion.too_deep(colliding.depths(p.material(state)), canonical, bound):
                 states.append(state)
                 again += draw > 0
