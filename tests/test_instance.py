@@ -426,20 +426,31 @@ def test_partial_clouds_come_from_the_recipes_backend(
     assert len(asked) == made.obj.part_count + 1
 
 
-def test_held_cameras_are_alike_and_above_the_middle(make: Maker) -> None:
+def test_held_cameras_are_alike_above_the_floor_and_the_same_in_all_states(make: Maker) -> None:
     made = make("laptop", 0)
-    recipe = made.recipe.model_dump()
-    recipe["sampling"] |= {"partial_cameras": "held", "partial_views": 6}
-    prepared = replace(made.prepared, recipe=Recipe.model_validate(recipe))
-    instance = make_instance(prepared, 1)
+    held = {"partial_cameras": "held", "partial_views": 12}
+    wanted = made.recipe.sampling.model_copy(update=held)
+    recipe = made.recipe.model_copy(update={"sampling": wanted})
+    prepared = prepare(made.obj, recipe, seed=0)
+    instance, other = make_instance(prepared, 1), make_instance(prepared, 2)
     check_partial_clouds(made, 1, instance)
-    assert np.ptp(instance.partial_intrinsics[:, :2]) == 0.0
+    cameras = instance.partial_T_camera_world
+    np.testing.assert_array_equal(cameras, other.partial_T_camera_world)
+    assert np.ptp(instance.partial_intrinsics, axis=0).max() == 0.0
+    fx, fy, cx, cy = instance.partial_intrinsics[0]
+    assert fx == fy
     corners = dequantize(instance.surface_points)
-    eyes = np.array([invert_rigid(T)[:3, 3] for T in instance.partial_T_camera_world])
-    assert (eyes[:, 2] > 0.5 * (corners[:, 2].min() + corners[:, 2].max()) - 0.02).all()
-    recipe["sampling"] |= {"kinect_metres": 0.5}
-    noisy = make_instance(replace(prepared, recipe=Recipe.model_validate(recipe)), 1)
-    np.testing.assert_array_equal(noisy.partial_intrinsics, instance.partial_intrinsics)
+    eyes = np.array([invert_rigid(T)[:3, 3] for T in cameras])
+    assert (eyes[:, 2] > corners[:, 2].min()).all()
+    seen = np.stack([apply(T, corners) for T in cameras])
+    at = seen[..., :2] / seen[..., 2:] * fx + (cx, cy)
+    outside = ((at < 0) | (at > recipe.sampling.partial_resolution)).any(axis=2).mean(axis=1)
+    assert 0.1 < (outside > 0).mean() < 0.9  # images cut the object, some of them
+    assert outside.max() < 0.6
+    measured = wanted.model_copy(update={"kinect_metres": 0.5})
+    measured = recipe.model_copy(update={"sampling": measured})
+    noisy = make_instance(replace(prepared, recipe=measured), 1)
+    np.testing.assert_array_equal(noisy.partial_T_camera_world, cameras)
     clouds = dequantize(noisy.partial_points).reshape(-1, 3)
     assert (nearest_within(by_cell(corners), clouds, 0.05) >= 0).mean() > 0.99
     assert np.abs(noisy.partial_points.astype(int) - instance.partial_points).max() > 50

@@ -162,3 +162,22 @@ def test_a_kinect_reads_one_of_its_disparities_half_a_pixel_off(metres):
     assert np.mean(gaps <= 1) > 0.95  # beyond, three standard deviations
     lost = (face >= 0) & (shows < 0)
     assert 0.1 < lost[20, 20:140].mean() < 0.3  # a pixel reads the row above with 16 % each
+
+
+def test_left_of_what_is_nearer_nothing_is_lit():
+    """A post 1.5 away before a wall at 2: its shadow is as wide as their disparities differ."""
+    depth, face = np.full((4, 200), 2.0), np.zeros((4, 200), int)
+    depth[1:3, 90:110], face[1:3, 90:110] = 1.5, 1
+    face[:, 150:] = -1
+    shown = sampling.lit(depth, face, 75.0)  # 75 / 1.5 - 75 / 2 = 12.5 pixels
+    dark = np.zeros(shown.shape, bool)
+    dark[1:3, 78:90] = True
+    np.testing.assert_array_equal(shown, (face >= 0) & ~dark)
+
+
+@pytest.mark.parametrize(("slope", "seen"), [(0.006, True), (-0.02, True), (0.007, False)])
+def test_a_plane_is_lit_where_the_projector_is_before_it(slope, seen):
+    """1 / depth of a plane is linear in the column, so its place in the other image is, too."""
+    depth = 1.0 / (1.0 + slope * np.arange(40))
+    shown = sampling.lit(depth[None], np.zeros((1, 40), int), 150.0)
+    assert shown[0, :-1].all() == shown[0, :-1].any() == seen

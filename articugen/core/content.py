@@ -36,6 +36,8 @@ MODELS = {
 
 FORMS = {"varied": 2, "rough": 2}  # the same for all models drawn, or written, in such a form
 
+SENSORS = {"partial_cameras": 2, "kinect_metres": 2}  # the same for recipes that name such a key
+
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
 
@@ -67,4 +69,5 @@ def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
     models_of |= {f"{form} models": FORMS[form] for form in forms}
     asks = '"sharp_points":' in recipe
     numbers = {n: v for n, v in (STAGES | models_of).items() if asks or n != "sharp"}
+    numbers |= {name: v for name, v in SENSORS.items() if f'"{name}":' in recipe}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

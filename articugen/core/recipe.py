@@ -139,7 +139,7 @@ class Sampling(_Section):
         partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
             pixels along the edge of its image.
         partial_cameras: where they are: `around` the object, each image just filled by it; or
-            `held`, above its middle, with square pixels and one field of view as those of `images`.
+            `held`, the same in all states, as those of `images`, but nearer and not centred.
         depth_noise: standard deviation of what they measure.
         kinect_metres: they measure as a Kinect does that sees the unit frame as a cube of this
             edge, in metres; 0 for exact ones. See `instance.sampling.as_kinect`.

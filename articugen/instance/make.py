@@ -24,7 +24,7 @@ from articugen.instance import articulation, sampling
 from articugen.instance.preparing import Grid, Prepared, names_of, pose
 from articugen.instance.sharp import sharp_points
 from articugen.rendering.images import images
-from articugen.rendering.views import plain_pinhole_views, random_pinhole_views
+from articugen.rendering.views import random_pinhole_views
 
 FEWEST_SURFACE_POINTS = 1024  # drawn even where fewer are stored: near points are drawn around them
 
@@ -181,8 +181,9 @@ def _query_fields(
 def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[str, NDArray]:
     wanted = p.recipe.sampling
     rng = p.rng(state_index, "partial")
-    cameras = random_pinhole_views if wanted.partial_cameras == "around" else plain_pinhole_views
-    views = cameras(wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng)
+    views = p.extras.sensors or random_pinhole_views(
+        wanted.partial_views, wanted.partial_resolution, bounds(mesh.vertices), rng=rng
+    )
     maps = backend_named(p.recipe.views.backend).render_parts(mesh, views, closed=p.closed)
     points, part = sampling.partial_clouds(maps, mesh.part_of_face, wanted, rng=rng)
     return {

@@ -39,6 +39,7 @@ MOST_DRAWS = 100  # of a joint state, for one in which parts are not in one anot
 SMALL, SLIT = 0.25, 0.02**2
 """An object shorter than that share of its frame, and slits of more than that area, unit frame, are
 worth a note."""
+HELD = {"nearest": 0.7, "aside": 0.25}  # so that the images' edges cut some of the object
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +127,14 @@ class Extras:
         edges: sharp ones, in the canonical pose.
         colliding: the parts, to be asked how deep they are in one another.
         cameras: of the images.
+        sensors: depth cameras that all instances share.
     """
 
     visible: fusion.Bvh | None
     edges: SharpEdges | None
     colliding: fusion.Colliding | None
     cameras: Views | None
+    sensors: Views | None
 
 
 def prepare(
@@ -331,7 +334,7 @@ def _extras(
     """Return what the recipe asks for besides; `swept` (2, 3) holds the object in all its
     states."""
     sampling, images = recipe.sampling, recipe.images
-    visible = edges = colliding = cameras = None
+    visible = edges = colliding = cameras = sensors = None
     if sampling.signed_distance:
         corners = mesh.vertices[mesh.faces[is_seen]]
         visible = fusion.build(corners, mesh.part_of_face[is_seen], len(bvh.roots) - 1)
@@ -341,7 +344,13 @@ def _extras(
         colliding = fusion.Colliding.of(mesh, bvh, rng=rng("collision"))
     if images.views:
         cameras = plain_pinhole_views(images.views, images.resolution, swept, rng=rng("images"))
-    return Extras(visible, edges, colliding, cameras)
+    if sampling.partial_cameras == "held":
+        sensors = plain_pinhole_views(
+            *(sampling.partial_views, sampling.partial_resolution, swept),
+            **HELD,
+            rng=rng("partial"),
+        )
+    return Extras(visible, edges, colliding, cameras, sensors)
 
 
 def canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:

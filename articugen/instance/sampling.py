@@ -23,6 +23,9 @@ SURFACE_OFFSET = 1e-4
 
 SURFACE_ROUNDS = 40
 
+PROJECTOR = 0.075
+"""Metres from a Kinect's camera to its projector: Khoshelham and Elberink, Sensors 12 (2012)."""
+
 SUB_CELLS = 64  # the least sub-cells along the cube's edge that have a sample where faces are
 
 
@@ -139,6 +142,8 @@ def partial_clouds(
     for k in range(len(views)):
         depth, face = maps.depth[k].astype(np.float64), maps.face[k]
         if wanted.kinect_metres > 0.0:
+            baseline = PROJECTOR / wanted.kinect_metres
+            face = np.where(lit(depth, face, baseline * float(views.fx[k])), face, -1)
             depth, face = as_kinect(depth, face, wanted.kinect_metres, rng=rng)
         hits = np.flatnonzero(face >= 0)
         if not len(hits):
@@ -155,6 +160,21 @@ def partial_clouds(
     return np.clip(clouds, -0.5, 0.5), parts
 
 
+def lit(depth: Floats, face: Indices, disparity: float) -> Bools:
+    """Return the pixels (H, W) at which something is that a projector right of the camera reaches:
+    beside the left edges of what is nearer, a Kinect reads nothing.
+
+    A pixel is `disparity` / depth further left in the projector's image than in the camera's. It is
+    in the shadow of those that are on its right here, and on its left there.
+
+    Args:
+        disparity: pixels at depth 1: the focal length times the way from camera to projector.
+    """
+    column = np.arange(face.shape[1]) - disparity / np.where(face >= 0, depth, 1.0)
+    column = np.where(face >= 0, column, np.inf)
+    return (face >= 0) & (column <= np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1])
+
+
 def as_kinect(
     depth: Floats, face: Indices, metres: float, *, rng: np.random.Generator
 ) -> tuple[Floats, Indices]:
@@ -164,7 +184,7 @@ def as_kinect(
     the image), and none where nothing is there; what it reads is one of the sensor's disparities,
     so that steps and errors grow with the square of the depth. Barron and Malik, "Intrinsic Scene
     Properties from a Single RGB-D Image", CVPR 2013: z' = 35130 / floor(35130 / z + n + 1/2) with
-    z in cm and n of standard deviation 1/6. Angles to the surface and lost patches are left out.
+    z in cm and n of standard deviation 1/6. Angles to the surface are left out.
 
     Args:
         metres: what the unit frame's edge is for the sensor.

@@ -90,20 +90,29 @@ def random_pinhole_views(
 
 
 def plain_pinhole_views(
-    count: int, resolution: int, box: Floats, *, rng: np.random.Generator
+    count: int,
+    resolution: int,
+    box: Floats,
+    *,
+    rng: np.random.Generator,
+    nearest: float = 1.0,
+    aside: float = 0.0,
 ) -> Views:
     """`count` pinhole cameras alike, as image-based learners take them: square pixels, the optical
-    axis through the middle of the image and of the box, `FIELD_OF_VIEW` wide.
+    axis through the middle of the image, `FIELD_OF_VIEW` wide.
 
-    Directions are uniform over the upper half of the sphere, distances uniform from where the
-    sphere around the box just fits the image to 1.2 times that.
+    Directions are uniform over the upper half of the sphere around what they aim at: the middle of
+    the box, or a point uniform in the box of `aside` times twice its size around that. Distances
+    are uniform from `nearest` to 1.2 times where the sphere around the box just fits the image.
     """
     center = box.mean(axis=0)
     directions = rng.normal(size=(count, 3))
     directions /= norm(directions)[:, None]
     directions[:, 2] = np.abs(directions[:, 2])
-    nearest = 0.5 * float(norm(box[1] - box[0])) / float(sin(0.5 * FIELD_OF_VIEW))
-    distances = nearest * rng.uniform(1.0, 1.2, size=count)
+    fitting = 0.5 * float(norm(box[1] - box[0])) / float(sin(0.5 * FIELD_OF_VIEW))
+    distances = fitting * rng.uniform(nearest, 1.2, size=count)
+    if aside:
+        center = center + rng.uniform(-aside, aside, size=(count, 3)) * (box[1] - box[0])
     T = look_along(-directions, center + distances[:, None] * directions)
     focal = np.full(
         count, 0.5 * resolution * float(cos(0.5 * FIELD_OF_VIEW) / sin(0.5 * FIELD_OF_VIEW))
