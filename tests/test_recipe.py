@@ -7,6 +7,7 @@ import pytest
 from python_process import printed
 from trouble import unfit
 
+from articugen.core import content
 from articugen.core import recipe as recipe_module
 from articugen.core import schema
 from articugen.core.errors import InvalidRecipe, MachineFault
@@ -340,3 +341,8 @@ def test_whether_joints_keep_to_their_limits_is_said_in_the_recipe_that_is_store
     assert (real.articulation.clip_to_limits, ours.articulation.clip_to_limits) == (True, False)
     assert real.for_one_object().sha256() != ours.for_one_object().sha256()
     assert ours.for_source(clips_to_limits=True) == ours, "said once, it stays"
+
+
+def test_versions_of_sensors_decide_the_data_of_recipes_that_name_them() -> None:
+    plain, held = (content.declared(None, load_recipe(n, "oven").text()) for n in (None, "held"))
+    assert held == f"{plain}, partial_cameras 2, kinect_metres 2"
