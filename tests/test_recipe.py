@@ -7,9 +7,8 @@ import pytest
 from python_process import printed
 from trouble import unfit
 
-from articugen.core import content
+from articugen.core import content, schema
 from articugen.core import recipe as recipe_module
-from articugen.core import schema
 from articugen.core.errors import InvalidRecipe, MachineFault
 from articugen.core.recipe import Recipe, Sampling, load_recipe
 from articugen.core.yaml_files import known, with_settings
