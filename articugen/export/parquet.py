@@ -103,7 +103,8 @@ def _write(item: Item, target: Target) -> None:
 
     def picture(number: int) -> dict[str, Any] | None:
         motion = item.rows[number].stored("part_motion")
-        return {"bytes": png(model.at(motion)), "path": None} if model else None
+        # left to the zstd of the file, which makes as little of it as zlib would
+        return {"bytes": png(model.at(motion), level=0), "path": None} if model else None
 
     with (
         target.opened(f"{item.key}.parquet") as file,
@@ -182,7 +183,7 @@ def _finish(data: DataSet, target: Target) -> None:
     known = licence.lower() in _LICENCES
     size = next((name for most, name in _SIZES if len(data) < most), _SIZES[-1][1])
     counts = [
-        f"| {name} | {len(data.split(name).objects):,} | {count:,} |"
+        f"| {file_name(name)} | {len(data.split(name).objects):,} | {count:,} |"
         for name, count in data.splits.items()
     ]
     splits = [

@@ -69,10 +69,11 @@ def save(picture: Picture, path: Path) -> None:
     write_atomically(path, png(picture))
 
 
-def png(picture: Picture) -> bytes:
-    """Return a picture as a PNG."""
+def png(picture: Picture, *, level: int = 6) -> bytes:
+    """Return a picture as a PNG, compressed by zlib, which chooses its kernels by processor; not at
+    all with `level` 0, for bytes that are hashed."""
     file = io.BytesIO()
-    picture.save(file, "PNG", compress_level=6)
+    picture.save(file, "PNG", compress_level=level)
     return file.getvalue()
 
 

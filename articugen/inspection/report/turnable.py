@@ -96,7 +96,8 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
 
 
 def _slider(joint: JointStates, j: int) -> dict[str, Any]:
-    """From the canonical pose, or the least state, to the greatest; a little open at first."""
+    """Return a slider from the canonical pose, or the least state, to the greatest; a little open
+    at first."""
     low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
     text = f"{joint.kind}, {range_text(joint.lower, joint.upper, joint.unit)}"
     return {"name": printable(joint.name) or f"joint {j}", "text": text, "low": _short(low),
