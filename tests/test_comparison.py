@@ -114,7 +114,7 @@ def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):
     assert scaled.budget
     assert (scaled.budget.start, scaled.budget.recipe_sha256) == (5.0, recipe.sha256())
     assert scaled.sha256() != recipe.sha256()
-    with pytest.raises(ArticugenError, match=r"ppd_paper: 10 s are too few: .* give it a larger"):
+    with pytest.raises(ArticugenError, match=r"^10 s are too few: .* give it a larger"):
         budget.scaled_to(10.0, what)
 
 

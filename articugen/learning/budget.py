@@ -48,8 +48,8 @@ def scaled_to(seconds: float, what: Training, notify: Notify = lambda _: None) -
     if share * recipe.schedule.iterations < CHECKS:
         least = start + CHECKS * (check + max(pace))
         raise ArticugenError(
-            f"{recipe.name}: {seconds:.0f} s are too few: reading data, validating and "
-            f"{CHECKS} iterations take {least:.0f} s; give it a larger budget"
+            f"{seconds:.0f} s are too few: reading data, validating and {CHECKS} iterations take "
+            f"{least:.0f} s; give it a larger budget"
         )
     budget = Budget(seconds=seconds, start=round(start, 2), recipe_sha256=recipe.sha256())
     return recipe.scaled(share, CHECKS, budget=budget.model_dump())

@@ -166,7 +166,7 @@ def compare(
             on_done(f"{name}: {sentence or 'finished'}")
     finished = [entry for entry in entries if entry.what.recipe.name not in refused]
     if not finished:
-        raise ArticugenError(next(iter(refused.values())))
+        raise ArticugenError(": ".join(next(iter(refused.items()))))
     paths = [entry.what.runs / str(seed) for entry in finished for seed in entry.seeds]
     about = f"# {category}, {minutes:g} minutes each\n\n"
     text = about + tables([read_evaluation(path) for path in paths], refused)
