@@ -127,8 +127,9 @@ def test_it_is_as_good_as_ours_in_folders_and_in_source_files(
     install("chest-maker", "chests", CHESTS, chest="chests")
     folder = chests(tmp_path / "mixed", "box1", "plain")
     chests(folder / "trunk", "one", "two")
-    assert open_source(str(folder)).categories(["all"]) == ("box", "trunk")
-    assert [r.object_id for r in open_source(folder).objects("box")] == ["box1", "plain"]
+    assert open_source(str(folder)).categories(["all"]) == ("box", "trunk", "object")
+    for category, ids in {"box": ["box1"], "object": ["plain"]}.items():
+        assert [r.object_id for r in open_source(folder).objects(category)] == ids
 
     own = chests(tmp_path / "own" / "mine" / "box", "a", "b").parent
     (own / "source.yaml").write_text(
