@@ -1,6 +1,7 @@
 """Instances are grouped by the object that they show, from their clouds alone."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from articugen.discovery import groups
 from articugen.discovery.groups import CUT, agreement, group_instances
 from articugen.discovery.objects import group_all
 from articugen.learning.data.groups import found_objects
+from articugen.store.shards import open_shard
 
 
 def box_cloud(low, high, rng, n=1500):
@@ -145,7 +147,7 @@ def test_poses_that_are_of_no_one_object_teach_no_motion(tmp_path):
     )
     shards = sorted((tmp_path / "oven").glob("train-*.h5"))
     with pytest.raises(UnfitData, match="no two training instances show one object"):
-        found_objects(shards)
+        found_objects([partial(open_shard, path) for path in shards], "here")
 
 
 def test_groups_found_are_as_good_as_groups_given_to_the_bit(laptops):

@@ -24,14 +24,19 @@ if TYPE_CHECKING:
     "articugen train --category laptop --data data/laptop",
     "articugen train --category laptop --data data/laptop --set losses.vol=500",
     "articugen train --category laptop --data data/laptop --resume runs/laptop/000",
+    "articugen train --category drawer --stream procedural_varied",
 )
 def train(
     category: str = option(MISSING, "What the data set holds.", "-c"),
     data: Sequence[Path] = option(
-        MISSING,
+        (),
         "The folder of the data set. May be given several times: all are learned from "
         "together, real objects beside bundled ones, say.",
         "-d",
+        show_default="needed, or --stream",
+    ),
+    stream: str | None = option(
+        None, "Instead of a data set: new objects of this source for ever, procedural_varied say."
     ),
     recipe: str | None = option(
         None,
@@ -60,16 +65,20 @@ def train(
         from articugen.core.recipe import check_category
 
         check_category(category)
+        if bool(data) == bool(stream):
+            raise typer.BadParameter("give the folder of a data set (--data), or --stream a source")
         with loading():
             from articugen.core.compiling import compile_kernels
             from articugen.learning import commands
+            from articugen.pipeline.stream import stream as open_stream
 
         for hint in commands.hints(data):
             say(hint, to=stderr)
         compile_kernels("train", notice=stderr.print)
+        source = open_stream(category, "stream", stream) if stream else data
         with _ProgressBar() as on_progress:
             run = commands.train(
-                data,
+                source,
                 recipe,
                 method=method,
                 changes=changes,
@@ -84,7 +93,8 @@ def train(
                 on_progress=on_progress,
             )
         say(f"done: {run.path}")
-        say(f"next: {command('evaluate', run.path, '--data', data[0])}")
+        of = data[0] if data else f"data/{category}"
+        say(f"next: {command('evaluate', run.path, '--data', of)}")
 
 
 @offered("articugen train-depth runs/laptop --data data/laptop")

@@ -29,6 +29,7 @@ from articugen.evaluation.report import tables as written
 from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise
+from articugen.learning.data.windows import Endless
 from articugen.learning.loop import Notify
 from articugen.learning.method import Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
@@ -64,7 +65,7 @@ the second."""
 
 
 def train(
-    data: FolderLike | Sequence[FolderLike],
+    data: FolderLike | Sequence[FolderLike] | Endless,
     recipe: RecipeLike | None = None,
     *,
     method: str | None = None,
@@ -84,7 +85,7 @@ def train(
     Args:
         data: the folder of a data set, or a sequence of those of several that are learned from
             together: real objects beside bundled ones, say. All are of one category and made with
-            the same numbers of points and grids; no object is in two.
+            the same numbers of points and grids; no object is in two. Or an `ag.stream(...)`.
         recipe: a name under recipes/, a YAML file, a mapping of keys that may say `extends`, or a
             recipe; None is the method's own, and where a run is resumed, that run's.
         method: whose recipe it must be; None is whosever it is.
@@ -93,7 +94,7 @@ def train(
         runs: the run's folder is <runs>/<category>/<number>.
         seed: of weights and batches, the first of several.
         seeds: how many race; None is what the recipe says.
-        jobs: seeds that are trained at a time; 0 is one a CPU core.
+        jobs: seeds that are trained at a time; 0 is one a CPU core. On a stream it is one.
         resume: the folder of a run to go on with instead; its recipe and seed hold.
         device: cpu, cuda or cuda:1.
         threads: of the CPU; 0 leaves it to torch.
@@ -121,14 +122,17 @@ def train(
         seeds = None
     if seeds is not None:
         settings = settings.with_seeds(seeds)
-    folders = _folders(data)
-    category = category or Manifest.read(folders[0]).category
+    source = data.for_training() if isinstance(data, Endless) else _folders(data)
+    category = category or (
+        source.category if isinstance(source, Endless) else Manifest.read(source[0]).category
+    )
     what = loop.Training(
-        settings, category, folders, Path(runs) / category, seed, resume=resume, device=device
+        settings, category, source, Path(runs) / category, seed, resume=resume, device=device
     )
     if settings.seeds.count == 1:
         return loop.train(what, on_progress=on_progress)
-    at_once = (jobs or os.cpu_count() or 1) if device == "cpu" else 1
+    is_alone = device != "cpu" or isinstance(source, Endless)
+    at_once = 1 if is_alone else jobs or os.cpu_count() or 1
     return race(what, jobs=min(at_once, settings.seeds.count), on_progress=on_progress)
 
 
@@ -293,11 +297,8 @@ def draw_examples(
     for folder in evaluated(runs):
         result, point = read_evaluation(folder), read_checkpoint(folder / LATEST)
         folder_of_data = Path(data or RunFolder(folder).about()["data"]["folder"])
-        folder_of_data = (
-            folder_of_data / point.category
-            if data and (folder_of_data / point.category).is_dir()
-            else folder_of_data
-        )
+        if data and (folder_of_data / point.category).is_dir():
+            folder_of_data /= point.category
         check_splits(folder_of_data, point.category)
         about = (point.category, point.recipe.name, folder_of_data)
         reconstruct = partial(point.learner().reconstruct, resolution=_finer(result))
@@ -382,13 +383,13 @@ def predict(
     return Predicted(shape, predicted, path, tuple(files))
 
 
-def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
-    """Return advice before a training on a data set, or on several."""
-    folders, advice = _folders(data), []
+def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
+    """Return advice before a training on a data set, on several, or on a stream."""
+    folders, advice = _folders(data) if data else (), []
     counts = [
         sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
     ]
-    if sum(counts) < FEW_OBJECTS:
+    if folders and sum(counts) < FEW_OBJECTS:
         advice.append(
             f"{folders[0]}: {sum(counts)} training objects show that all works, but teach little "
             "that carries over to others; for that make the full data set, without RECIPE=quick or "
@@ -411,11 +412,7 @@ def hints(data: FolderLike | Sequence[FolderLike]) -> list[str]:
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
-    """Return the folder of one data set, or those of several, as the loop takes them.
-
-    Raises:
-        ArticugenError: there is none.
-    """
+    """Return the folder of one data set, or those of several, as the loop takes them; or raise."""
     folders = (data,) if isinstance(data, str | os.PathLike) else tuple(data)
     if not folders:
         raise ArticugenError("no data set to train on; give its folder")

@@ -70,9 +70,9 @@ class Entry:
             return
         loop.train(what, on_progress=notify)
         n = recipe.schedule.iterations
-        folder = what.data if isinstance(what.data, Path) else what.data[0]
+        assert isinstance(what.data, Path)
         commands.evaluate(
-            path, folder, label_poses="all", states=self.states,
+            path, what.data, label_poses="all", states=self.states,
             on_object=lambda name: notify(Progress(n, n, said=f"evaluating: {name}")),
         )  # fmt: skip
 

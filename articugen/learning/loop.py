@@ -4,11 +4,13 @@ An iteration's random numbers depend on the seed and its number alone, so a run 
 resumed draws the same curve as one that was not.
 """
 
+import hashlib
 import math
+import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +23,13 @@ from articugen.core.errors import InvalidCheckpoint
 from articugen.core.memory import given_back
 from articugen.core.seeding import generator as seeded
 from articugen.learning.data.split import Folders, PackedSplit, folders_of, load_split
+from articugen.learning.data.windows import OBJECTS, Endless, Windows
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import (
     BEST,
     LATEST,
+    META,
     Checkpoint,
     RunFolder,
     read_checkpoint,
@@ -64,30 +68,64 @@ class Training:
 
     Attributes:
         recipe: everything that decides the run, besides the data and the seed.
-        data: the data set's folder, or those of several that are learned from together.
+        data: the data set's folder, those of several that are learned from together, or a stream.
         runs: where a new, numbered run folder is made.
         seed: of the weights, the batches and everything drawn.
         resume: the folder of a run to resume instead.
         device: cpu, cuda or cuda:1.
         name: of the new run's folder, instead of a number.
+        window: how many objects of a stream are learned from at a time.
     """
 
     recipe: TrainRecipe
     category: str
-    data: Folders
+    data: Folders | Endless
     runs: Path
     seed: int = 0
     resume: Path | None = None
     device: str = "cpu"
     name: str | None = None
+    window: int = OBJECTS
+
+    @property
+    def beside(self) -> Path:
+        """The folder of all runs of a category; the runs of a race lie two folders deeper in it."""
+        above = self.resume.parent if self.resume else self.runs
+        return above.parent.parent if above.name == SEEDS else above
+
+    @property
+    def windows(self) -> Windows | None:
+        """Windows of a stream; None of a stored set."""
+        if not isinstance(self.data, Endless):
+            return None
+        start = partial(find_method(self.recipe.method).start, self.recipe, seed=0, device=META)
+        return Windows(
+            self.data, self.recipe, start, self._grids(start()), self.beside, self.window
+        )
+
+    def _grids(self, learner: Learner) -> frozenset[int]:
+        """Return the resolutions of the grids that are read."""
+        spec = learner.inputs
+        stages = {stage.resolution for stage in self.recipe.schedule.stages if spec.grid_points}
+        return frozenset({*stages, *spec.grids})
+
+    def instances(
+        self, learner: Learner, iteration: int, notify: Callable[[str], None]
+    ) -> tuple[Iterator[PackedSplit], PackedSplit]:
+        """Return the training instances of an iteration, then of a stream those that follow, and
+        the instances that are held out."""
+        if windows := self.windows:
+            return windows.since(iteration, notify), windows.held_out()
+        training, held_out = self.split(learner, "cpu")
+        return iter([training].pop, None), held_out  # which nobody but the taker holds on to
 
     def split(self, learner: Learner, device: str) -> tuple[PackedSplit, PackedSplit]:
         """Return the training instances, and those of the objects that are held out."""
-        spec, where = learner.inputs, torch.device(device)
-        grids = {stage.resolution for stage in self.recipe.schedule.stages if spec.grid_points}
+        assert not isinstance(self.data, Endless)
+        where, grids = torch.device(device), self._grids(learner)
         with given_back(SHARDS):
             everything = load_split(
-                self.data, "train", spec, {*grids, *spec.grids}, category=self.category
+                self.data, "train", learner.inputs, grids, category=self.category
             )
             count = self.recipe.data.validation_objects
             kept, held_out = split_objects(everything.object_id, count)
@@ -95,10 +133,7 @@ class Training:
 
     def new_run(self) -> RunFolder:
         """Return a new run's folder, which says what it is trained on."""
-        first, *others = [
-            {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
-            for folder in folders_of(self.data)
-        ]
+        first, *others = self._described()
         return RunFolder.new(
             self.runs,
             self.recipe,
@@ -117,7 +152,7 @@ class Training:
         """
         run = RunFolder.existing(path)
         point = read_checkpoint(path / LATEST) if (path / LATEST).is_file() else None
-        about, folders = run.about(), folders_of(self.data)
+        about, described = run.about(), self._described()
         started = [(about["recipe_sha256"], about["category"], about["seed"])]
         if point:
             started.append((point.recipe.sha256(), point.category, point.seed))
@@ -127,17 +162,33 @@ class Training:
             )
         source = about["data"]
         digests = [part["content_sha256"] for part in (source, *source.get("also", ()))]
-        if digests != [Manifest.read(folder).content_sha256 for folder in folders]:
+        if digests != [part["content_sha256"] for part in described]:
+            folders = ", ".join(part["folder"] for part in described)
             raise InvalidCheckpoint(
-                f"{path}: was started on other data than {', '.join(map(str, folders))}; start a "
-                "new run"
+                f"{path}: was started on other data than {folders}; start a new run"
             )
         return run, point
 
-    def course(self, learner: Learner, training: PackedSplit, held_out: PackedSplit) -> "Course":
+    def _described(self) -> list[dict[str, str]]:
+        """Return what run.json says of each data set, or of a stream."""
+        if isinstance(self.data, Endless):
+            text = f"{self.data}, {self.window} objects at a time"
+            sha256 = hashlib.sha256(text.encode()).hexdigest()
+            return [{"folder": text, "content_sha256": sha256}]
+        return [
+            {"folder": str(folder), "content_sha256": Manifest.read(folder).content_sha256}
+            for folder in folders_of(self.data)
+        ]
+
+    def course(self, learner: Learner, notify: Callable[[str], None]) -> "Course":
         """Return the course of a new run, or of one to resume."""
-        run, point = self.resumed(self.resume) if self.resume else (self.new_run(), None)
-        course = Course(learner, training, held_out, run, self.category, self.seed)
+        run, point = self.resumed(self.resume) if self.resume else (None, None)
+        iteration = point.iteration if point else 0
+        windows, held_out = self.instances(learner, iteration, notify)
+        held_out, run = held_out.to(torch.device(self.device)), run or self.new_run()
+        course = Course(learner, windows, held_out, run, self.beside, self.category, self.seed)
+        if self.windows:
+            course.stay = self.windows.stay
         if point:
             learner.load(point.state)
             course.iteration, course.best = point.iteration, point.best
@@ -149,24 +200,36 @@ class Course:
     """A learner, what it learns from and where it is kept.
 
     Attributes:
+        windows: the training instances that come next.
+        beside: as `Learner.begin` takes it.
+        stay: iterations for which instances are learned from.
         seed: of the batches and everything drawn.
         iteration, best: how many iterations are done; the lowest validation loss so far.
         begun: the clock's seconds where the first iteration began, had nothing interrupted the run.
     """
 
     learner: Learner
-    training: PackedSplit
+    windows: Iterator[PackedSplit]
     held_out: PackedSplit
     run: RunFolder
+    beside: Path
     category: str
     seed: int
+    stay: int = sys.maxsize
     iteration: int = 0
     best: float = math.inf
     begun: float = 0.0
 
     def clock(self) -> float:
         """Return seconds of this process's CPU time, or of the clock where a GPU learns."""
-        return clock_of(self.training.surface.device.type)()
+        return clock_of(self.held_out.surface.device.type)()
+
+    def renewed(self, notify: Callable[[str], None]) -> PackedSplit:
+        """Return the training instances that come next, for which the learner is prepared."""
+        with given_back(SHARDS):
+            training = next(self.windows).to(self.held_out.surface.device)
+            self.learner.begin(training, self.beside, notify)
+            return training.for_batches()
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
@@ -223,24 +286,19 @@ def train(
     recipe, device = what.recipe, torch.device(what.device)
     seed = draw(what.seed, recipe.method, "weights")
     learner = find_method(recipe.method).start(recipe, seed=seed, device=device)
-    # the course alone holds the instances, and lets go of what batches do not hold
-    return follow(what.course(learner, *what.split(learner, what.device)), stop_after, on_progress)
+    plan, method = recipe.schedule, recipe.method
 
+    def notify(said: str) -> None:
+        on_progress(Progress(course.iteration, plan.iterations, said=said))
 
-def follow(course: Course, stop_after: int | None, on_progress: Notify) -> RunFolder:
-    """Return the loop: from where the course stands to its schedule's end, or to `stop_after`."""
-    learner, plan = course.learner, course.learner.settings.schedule
-    method, end = learner.settings.method, min(plan.iterations, stop_after or plan.iterations)
-    with given_back(SHARDS):
-        learner.begin(
-            course.training,
-            shared_folder(course.run),
-            lambda said: on_progress(Progress(course.iteration, plan.iterations, said=said)),
-        )
-        training = course.training = course.training.for_batches()
+    course = what.course(learner, notify)
+    begin, end = course.iteration, min(plan.iterations, stop_after or plan.iterations)
+    training = course.renewed(notify)
     with course.run.metrics_from(course.iteration) as log:
         course.begun = course.clock() - course.run.seconds()
-        for iteration in range(course.iteration, end):
+        for iteration in range(begin, end):
+            if iteration > begin and iteration % course.stay == 0:
+                training = course.renewed(notify)
             rng = torch.Generator(training.surface.device)
             rng.manual_seed(draw(course.seed, method, "batch", iteration))
             resolution = plan.stages[plan.index_at(iteration)].resolution
@@ -258,13 +316,6 @@ def clock_of(device: str) -> Callable[[], float]:
     """Return what training's seconds are counted by: this process's CPU time, or the clock where a
     GPU learns."""
     return time.process_time if device == "cpu" else time.perf_counter
-
-
-def shared_folder(run: RunFolder) -> Path:
-    """Return the folder of all runs of a category; the runs of a race lie two folders deeper in
-    it."""
-    above = run.path.parent
-    return above.parent.parent if above.name == SEEDS else above
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:

@@ -68,7 +68,8 @@ class Learner(Protocol):
     def begin(
         self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Prepare from all training instances, before the first iteration of every start.
+        """Prepare from all training instances, before the first iteration of every start; from
+        those of a stream that are learned from now, as often as others take their place.
 
         Args:
             beside: a folder that several runs share, for what is worth keeping of it.

@@ -27,7 +27,6 @@ from articugen.learning.loop import (
     Notify,
     Progress,
     Training,
-    shared_folder,
     train,
 )
 from articugen.learning.method import find_method
@@ -100,18 +99,18 @@ def race(
     # Shapes alone: joints are looked for once for all seeds, and data that do not fit are refused
     # before there is a folder.
     learner = find_method(recipe.method).start(recipe, seed=0, device=META)
-    training = what.split(learner, "cpu")[0]
-    run = what.resumed(what.resume)[0] if what.resume else what.new_run()
     total = recipe.schedule.iterations
+
+    def notify(said: str) -> None:
+        on_progress(Progress(0, total, said=said))
+
+    windows = what.instances(learner, 0, notify)[0]
+    run = what.resumed(what.resume)[0] if what.resume else what.new_run()
     alone = replace(what, runs=run.path / SEEDS)
     with run.locked():
         with given_back(SHARDS):
-            learner.begin(
-                training,
-                shared_folder(run),
-                lambda said: on_progress(Progress(0, total, said=said)),
-            )
-        del learner, training  # all instances
+            learner.begin(next(windows), what.beside, notify)
+        del learner, windows  # all instances
         with _crew(jobs, on_progress) as crew:
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []

@@ -2,14 +2,14 @@
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from articugen.core.errors import ArticugenError, InvalidArgument, printable
 from articugen.core.yaml_files import nearest
-from articugen.instance.again import resolved
+from articugen.instance.again import generator_of, resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
 from articugen.pipeline.door import jobs_of
@@ -21,6 +21,7 @@ from articugen.sources.refs import ObjectRef
 from articugen.sources.source import Source, open_source
 from articugen.store.dataset import DEFAULT_FIELDS
 from articugen.store.rows import Row
+from articugen.store.shards import MadeShard
 from articugen.store.writer import stored_arrays
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Stream(Iterator[Row]):
     refs: Sequence[ObjectRef]
     split: str
     position: int
-    _current: tuple[int, str, Prepared] | None = field(default=None, init=False, repr=False)
+    _current: tuple[int, Prepared] | None = field(default=None, init=False, repr=False)
     _rejected: int = field(default=0, init=False, repr=False)
 
     def __next__(self) -> Row:
@@ -100,30 +101,75 @@ class Stream(Iterator[Row]):
             ArticugenError: that were `MOST_REJECTED` in a row.
             MachineFault, MemoryError: it says nothing about the object.
         """
-        recipe = self.job.recipe
         while True:
-            number, state = divmod(self.position, instances_each(recipe))
+            number, state = divmod(self.position, self.each)
             try:
-                if self._current is None or self._current[0] != number:
-                    ref, seed = self._object(number)
-                    prepared = prepare(resolved(ref, recipe), recipe, seed)
-                    self._current = number, ref.split, prepared
-                _, split, prepared = self._current
-                arrays = stored_arrays(make_instance(prepared, state))
+                arrays = self._made(number, state)
             except Exception as error:  # an object must not take the others down with it
                 self._pass_over(number, error)
+                self.position = (number + 1) * self.each
                 continue
-            self.position, self._rejected = self.position + 1, 0
-            return Row(partial(_read, arrays), arrays, split=split, category=self.job.category)
+            self.position += 1
+            split = self._object(number)[0].split
+            return Row(partial(_read, arrays), arrays, split=split, category=self.category)
+
+    @property
+    def category(self) -> str:
+        return self.job.category
+
+    @property
+    def each(self) -> int:
+        """Instances of an object."""
+        return instances_each(self.job.recipe)
+
+    def objects(self, numbers: Iterable[int]) -> list[MadeShard]:
+        """Return all instances of each of some objects; of what cannot be made a warning says so.
+        Raises as `next`."""
+        shards: list[MadeShard] = []
+        for number in numbers:
+            try:
+                shards.append(MadeShard([self._made(number, n) for n in range(self.each)]))
+            except Exception as error:  # likewise
+                self._pass_over(number, error)
+        return shards
+
+    def for_training(self) -> "Stream":
+        """Return the same of training objects alone; InvalidArgument where they come again, so that
+        none could be held out."""
+        if not self.source.is_made:
+            raise InvalidArgument(
+                f"{self.job.source}: its objects come again and again, so none could be held out; "
+                "make a data set of them with articugen generate, and train on that"
+            )
+        return replace(self, split="train")
+
+    def _made(self, number: int, state: int) -> Mapping[str, Any]:
+        """Return an instance of object `number` as it is stored."""
+        recipe = self.job.recipe
+        if self._current is None or self._current[0] != number:
+            ref, seed = self._object(number)
+            self._current = number, prepare(resolved(ref, recipe), recipe, seed)
+        arrays = stored_arrays(make_instance(self._current[1], state))
+        self._rejected = 0
+        return arrays
 
     def _pass_over(self, number: int, error: Exception) -> None:
-        ref, recipe = self._object(number)[0], self.job.recipe
-        why = printable(f"{ref.object_id}: {verdict_on(error, ref, recipe) or repr(error)}")
-        self.position = (number + 1) * instances_each(recipe)
+        ref = self._object(number)[0]
+        verdict = verdict_on(error, ref, self.job.recipe) or repr(error)
+        why = printable(f"{ref.object_id}: {verdict}")
         self._rejected += 1
         if self._rejected >= MOST_REJECTED:
             raise ArticugenError(f"{MOST_REJECTED} objects were rejected in a row; the last, {why}")
         warnings.warn(f"{why}; the stream goes on without it", stacklevel=3)
+
+    def __str__(self) -> str:
+        """Return what decides all that comes."""
+        job, recipe = self.job, self.job.recipe.for_one_object()
+        code = generator_of(self.refs[0], recipe.text())
+        return (
+            f"{self.split or 'every'} {job.category} of {job.source}, recipe "
+            f"{recipe.sha256()[:12]}, seed {job.seed}, share {job.share}, {code}"
+        )
 
     @cached_property
     def _places(self) -> list[int]:
@@ -148,9 +194,7 @@ class Stream(Iterator[Row]):
 
     def state_dict(self) -> dict[str, Any]:
         """Return where it is, for `load_state_dict`, and what decides what comes there."""
-        job, recipe = self.job, self.job.recipe.for_one_object().sha256()[:12]
-        what = f"{self.split or 'every'} {job.category} of {job.source}, recipe {recipe}"
-        return {"position": self.position, "of": f"{what}, seed {job.seed}, share {job.share}"}
+        return {"position": self.position, "of": str(self)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where such a stream was; InvalidArgument where that makes something else."""

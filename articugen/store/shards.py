@@ -244,3 +244,17 @@ class Shard:
             return texts(stored)
         except UnicodeDecodeError as error:
             raise CorruptShard(f"{self.path}: the text {error.object!r} is not UTF-8") from None
+
+
+class MadeShard(Shard):
+    """Shard of one object that lies in memory alone, read as those that were written."""
+
+    def __init__(self, rows: Sequence[Mapping[str, NDArray[Any]]]) -> None:
+        """Take all fields of instances as they are stored."""
+        self._arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+        self.fields = {name: array.shape for name, array in self._arrays.items()}
+        self.attributes = {"schema_version": schema.SCHEMA_VERSION}
+        self.path, self._handle = self.object_ids()[0], None
+
+    def _rows(self, name: str, rows: Sequence[int]) -> NDArray[Any]:
+        return self._arrays[name][rows]

@@ -7,7 +7,7 @@ many of each, however few there are; that a moving part fills one voxel in a tho
 more.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from articugen.core.arrays import Bools
+from articugen.core.errors import UnfitData
 from articugen.core.seeding import generator
+from articugen.learning.data.batch import BatchSpec
+from articugen.learning.data.fitness import check_varies
+from articugen.store.shards import Shard
 
 Packed = tuple[NDArray[np.int32], NDArray[np.int32]]
 
@@ -131,3 +135,43 @@ def _widened(mask: NDArray[Any], axis: int) -> NDArray[Any]:
         into[step:] |= of[:-step]
         into[:-step] |= of[step:]
     return wide
+
+
+def cells_of(
+    names: NDArray[Any],
+    states: NDArray[np.uint32],
+    grid: NDArray[np.uint8] | None,
+    spec: BatchSpec,
+    path: Any,
+) -> dict[str, NDArray[Any]]:
+    """Return the cells that query points are drawn at, as `LabelledCells` holds them."""
+    row: dict[str, NDArray[Any]] = {}
+    for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
+        row[kind] = np.zeros((len(names), 2, 0), np.int32)
+        row[f"{kind}_count"] = np.zeros((len(names), 2), np.int32)
+        if grid is not None and wanted:
+            occupied = grid > 0
+            if kind == "band":
+                chosen = [band(inside) for inside in occupied]
+            else:
+                chosen = differing(occupied, names)
+            if kind == "varying" and spec.finds_objects:  # an object may have been found once
+                around = zip(chosen, map(band, occupied), strict=True)
+                chosen = [mask if mask.any() else band for mask, band in around]
+            elif kind == "varying":
+                check_varies(path, names, chosen)
+            row[kind], row[f"{kind}_count"] = pack(kind, chosen, occupied, names, states)
+    return row
+
+
+def finest_grid(opened: Callable[[], Shard]) -> int:
+    """Return the resolution of the grid that cells are chosen from."""
+    with opened() as shard:
+        grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
+    fit = [resolution for resolution in grids if resolution <= FINEST]
+    if not fit:
+        raise UnfitData(
+            f"{shard.path}: has no grid of {FINEST} or less, which data.band_points and "
+            f"varying_points need; add {FINEST} to sampling.grids and make the data set again"
+        )
+    return max(fit)

@@ -1,7 +1,6 @@
 """The objects that training instances show, found without asking the data set for them."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,13 @@ from numpy.typing import NDArray
 from articugen.core.arrays import Floats
 from articugen.core.errors import UnfitData
 from articugen.discovery.groups import group_instances
-from articugen.store.shards import open_shard
+from articugen.store.shards import Shard
 
 
-def found_objects(paths: Sequence[Path]) -> list[NDArray[Any]]:
+def found_objects(shards: Sequence[Callable[[], Shard]], where: str) -> list[NDArray[Any]]:
     """Return for each shard the objects (n,) that its instances show, by their clouds alone.
+
+    Where the shards are is named in errors.
 
     A group is named after the object of its first instance; one that begins with an object that
     another begins with as well is `<name>~2`. So where groups are as the data set's objects are,
@@ -27,8 +28,8 @@ def found_objects(paths: Sequence[Path]) -> list[NDArray[Any]]:
     counts: list[int] = []
 
     def clouds() -> Iterator[tuple[Floats, Floats]]:
-        for path in paths:
-            with open_shard(path) as shard:
+        for opened in shards:
+            with opened() as shard:
                 stored = shard.read("surface_points"), shard.read("surface_normals")
                 names.extend(shard.object_ids())
             counts.append(len(stored[0]))
@@ -38,7 +39,7 @@ def found_objects(paths: Sequence[Path]) -> list[NDArray[Any]]:
     number = group_instances(clouds()).number
     if len(set(number.tolist())) == len(number):
         raise UnfitData(
-            f"{paths[0].parent}: no two training instances show one object, but the recipe "
+            f"{where}: no two training instances show one object, but the recipe "
             "compares poses; make the data set with more of them (generate --states), all poses of "
             "an object in one frame, or use a recipe with data.varying_points 0 and without a warm "
             "start"

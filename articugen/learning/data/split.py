@@ -6,6 +6,7 @@ worker process is needed, and a batch depends on nothing but its generator and i
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,15 @@ from torch import Tensor
 
 from articugen.core.errors import CorruptShard, UnfitData
 from articugen.core.records import ENCLOSED, FREE
-from articugen.learning.data import cells
 from articugen.learning.data.batch import Batch, BatchSpec
-from articugen.learning.data.cells import LabelledCells, uniform, voxel_centres
-from articugen.learning.data.fitness import check_fixed_part, check_shard, check_varies
+from articugen.learning.data.cells import (
+    LabelledCells,
+    cells_of,
+    finest_grid,
+    uniform,
+    voxel_centres,
+)
+from articugen.learning.data.fitness import check_fixed_part, check_shard
 from articugen.learning.data.groups import found_objects
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
@@ -237,26 +243,34 @@ def load_split(
             object that share no frame or, where poses are compared, an object that has but one; an
             object that two of the data sets have, or grids and points of other sizes in one.
     """
-    folders, wanted = folders_of(data), sorted(set(resolutions))
+    folders = folders_of(data)
     manifests = [Manifest.read(folder) for folder in folders]
     _check_apart(folders, manifests)
-    is_fine = spec.band_points or spec.varying_points or spec.hidden
-    shards: list[dict[str, NDArray[Any]]] = []
-    finest, paths = 0, []
+    shards: list[Callable[[], Shard]] = []
     for folder, manifest in zip(folders, manifests, strict=True):
         names, about = _shards_of(folder, manifest, split, category)
-        finest = finest or (_finest(folder / names[0]) if is_fine else 0)
         category = about["category"]
-        paths += [(folder / name, about) for name in names]
-    objects = found_objects([path for path, _ in paths]) if spec.finds_objects else None
-    for path, about in paths:
-        names = objects.pop(0) if objects else None
-        shards.append(_read(path, about, spec, wanted, finest, names))
+        shards += [partial(_opened, folder / name, about) for name in names]
+    return packed(shards, spec, resolutions, ", ".join(map(str, folders)))
+
+
+def packed(
+    shards: Sequence[Callable[[], Shard]], spec: BatchSpec, resolutions: Iterable[int], where: str
+) -> PackedSplit:
+    """Pack all instances of shards, each of which is opened when it is read; `where` they are is
+    named in errors, which are those of `load_split`."""
+    wanted = sorted(set(resolutions))
+    is_fine = spec.band_points or spec.varying_points or spec.hidden
+    finest = finest_grid(shards[0]) if is_fine else 0
+    objects = found_objects(shards, where) if spec.finds_objects else [None] * len(shards)
+    read = [
+        _read(opened, spec, wanted, finest, names)
+        for opened, names in zip(shards, objects, strict=True)
+    ]
+    # what is joined is let go: there is never much more than all of it at a time
     try:
-        # what is joined is let go: there is never much more than all of it at a time
-        joined = {name: _joined(name, [s.pop(name) for s in shards]) for name in list(shards[0])}
+        joined = {name: _joined(name, [s.pop(name) for s in read]) for name in list(read[0])}
     except ValueError:
-        where = ", ".join(map(str, folders))
         raise UnfitData(
             f"{where}: shards of different shapes; make them again, all by one recipe"
         ) from None
@@ -315,9 +329,19 @@ def _check_apart(folders: Sequence[Path], manifests: Sequence[Manifest]) -> None
                 )
 
 
+def _opened(path: Path, about: dict[str, str]) -> Shard:
+    """Return a shard that says of itself what it must."""
+    shard = open_shard(path)
+    for name, should in about.items():
+        if shard.attributes[name] != should:
+            raise CorruptShard(
+                f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
+            )
+    return shard
+
+
 def _read(
-    path: Path,
-    about: dict[str, str],
+    opened: Callable[[], Shard],
     spec: BatchSpec,
     resolutions: list[int],
     finest: int,
@@ -325,12 +349,7 @@ def _read(
 ) -> dict[str, NDArray[Any]]:
     """Return what is packed of a shard, by name; `finest` is the grid that cells are chosen from,
     or 0; `objects` are what its instances show, as it was found."""
-    with open_shard(path) as shard:
-        for name, should in about.items():
-            if shard.attributes[name] != should:
-                raise CorruptShard(
-                    f"{path}: is of {name} {shard.attributes[name]!r}, the manifest says {should!r}"
-                )
+    with opened() as shard:
         check_shard(shard, spec, sorted({*resolutions, finest} - {0}))
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
@@ -358,7 +377,8 @@ def _read(
         if spec.hidden:
             raw = shard.read(f"occupancy_{finest}").reshape(len(names), -1)
             row["hidden"] = np.packbits(raw != FREE, axis=1)
-        return {"object_id": names, **row, **_cells(names, row["state_index"], fine, spec, path)}
+        chosen = cells_of(names, row["state_index"], fine, spec, shard.path)
+        return {"object_id": names, **row, **chosen}
 
 
 def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
@@ -379,46 +399,6 @@ def _grid(
     grid = _told(grid, spec)
     _fill_empty(grid, surface, resolution)
     return grid
-
-
-def _cells(
-    names: NDArray[Any],
-    states: NDArray[np.uint32],
-    grid: NDArray[np.uint8] | None,
-    spec: BatchSpec,
-    path: Path,
-) -> dict[str, NDArray[Any]]:
-    """Return the cells that query points are drawn at, as `LabelledCells` holds them."""
-    row: dict[str, NDArray[Any]] = {}
-    for kind, wanted in (("band", spec.band_points), ("varying", spec.varying_points)):
-        row[kind] = np.zeros((len(names), 2, 0), np.int32)
-        row[f"{kind}_count"] = np.zeros((len(names), 2), np.int32)
-        if grid is not None and wanted:
-            occupied = grid > 0
-            if kind == "band":
-                chosen = [cells.band(inside) for inside in occupied]
-            else:
-                chosen = cells.differing(occupied, names)
-            if kind == "varying" and spec.finds_objects:  # an object may have been found once
-                around = zip(chosen, map(cells.band, occupied), strict=True)
-                chosen = [mask if mask.any() else band for mask, band in around]
-            elif kind == "varying":
-                check_varies(path, names, chosen)
-            row[kind], row[f"{kind}_count"] = cells.pack(kind, chosen, occupied, names, states)
-    return row
-
-
-def _finest(path: Path) -> int:
-    """Return the resolution of the grid that cells are chosen from."""
-    with open_shard(path) as shard:
-        grids = [int(n.rpartition("_")[2]) for n in shard.fields if n.startswith("occupancy_")]
-    fit = [resolution for resolution in grids if resolution <= cells.FINEST]
-    if not fit:
-        raise UnfitData(
-            f"{path}: has no grid of {cells.FINEST} or less, which data.band_points and "
-            f"varying_points need; add {cells.FINEST} to sampling.grids and make the data set again"
-        )
-    return max(fit)
 
 
 def _none(shard: Shard, name: str) -> NDArray[Any]:

@@ -139,8 +139,9 @@ class PPDLearner(Predictor):
             discoveries, rows = discovered(training, beside, directions_of(model), notify)
             known = sum(one is not None for one in likely(discoveries, model))
             notify(f"joints are known of {known} of {len(discoveries)} training objects")
-            if self.mirrors and is_one_sided(discoveries, model):
-                self.mirrors = False
+            one_sided = is_one_sided(discoveries, model)
+            self.mirrors = self.settings.vary.mirror and not one_sided
+            if self.settings.vary.mirror and one_sided:
                 notify(
                     "no object is mirrored: joints lean to one side, a mirror shows none like it"
                 )
