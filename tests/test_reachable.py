@@ -12,7 +12,7 @@ from articugen.core.recipe import Fusion, load_recipe
 from articugen.fusion.reachable import flood, walls
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
-from articugen.meshes.bvh import build
+from articugen.meshes.bvh import tree_of
 from articugen.procedural.truth import Truth
 from tests.benchmarks.cases import Scene
 from tests.benchmarks.open_space import INSIDE, OUTSIDE, UNDECIDED, open_space
@@ -91,7 +91,7 @@ def test_a_box_is_shut_wherever_its_faces_lie_between_the_voxels(fifths):
     low, high = np.sort(np.reshape(fifths, (3, 2)), axis=1).T / 5 / 96
     assume((low < high).all())
     mesh = labelled(box(high - low, (low + high) / 2 - 0.5))
-    tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
+    tree = tree_of(mesh.vertices[mesh.faces])
     wet = flood(walls(mesh, 2 / 96), mesh, tree, np.eye(4)[None])
     within = low + np.random.default_rng(0).uniform(0.001, 0.999, (200, 3)) * (high - low) - 0.5
     assert not wet.fills(within).any()

@@ -11,7 +11,7 @@ from articugen.core.records import LabelledMesh
 from articugen.fusion.reachable import walls
 from articugen.fusion.thin import NOTHING, thin_voxels
 from articugen.instance.preparing import own_solid, solid_part
-from articugen.meshes.bvh import build
+from articugen.meshes.bvh import tree_of
 from tests.shapes import Convex, box, labelled, rotated, towards_cameras
 
 RECIPE = Recipe(name="test")
@@ -52,9 +52,7 @@ def test_bars_and_slits_thinner_than_a_pixel_are_as_exact_rays_have_them(
 def test_only_what_is_slender_is_marked() -> None:
     thick = labelled(box((0.5, 0.4, 0.3)))
     plate = labelled(box((0.5, 0.4, 0.3), (0, 0, -0.2)), box((0.3, 0.3, 0.004), (0, 0, 0.2)))
-    trees = [
-        build(m.vertices[m.faces], np.zeros(len(m.faces), np.uint8), 1) for m in (thick, plate)
-    ]
+    trees = [tree_of(m.vertices[m.faces]) for m in (thick, plate)]
     assert thin_voxels(thick, 1 / 128, trees[0]) is NOTHING
     marked = thin_voxels(plate, 1 / 128, trees[1]).voxels() / 128 - 0.5
     assert len(marked) > 1000
@@ -70,7 +68,7 @@ def test_marks_take_little_memory_however_small_the_part(size: float) -> None:
         piece.apply_scale(size)
         piece.apply_translation((0.3, -0.4, 0.2))
     mesh = labelled(trimesh.util.concatenate(key))
-    tree = build(mesh.vertices[mesh.faces], mesh.part_of_face, 1)
+    tree = tree_of(mesh.vertices[mesh.faces])
     tracemalloc.start()
     found = thin_voxels(mesh, size / 256, tree)
     peak = tracemalloc.get_traced_memory()[1]
@@ -83,7 +81,7 @@ def test_marks_take_little_memory_however_small_the_part(size: float) -> None:
 def test_marks_are_those_of_a_lattice_over_the_whole_cube() -> None:
     """However few of its voxels are kept; and finer views than memory allows get wider voxels."""
     plate = labelled(rotated(box((0.5, 0.3, 0.001), (0.1, 0.1, 0.2)), 0.4, (1, 2, 3)))
-    tree = build(plate.vertices[plate.faces], plate.part_of_face, 1)
+    tree = tree_of(plate.vertices[plate.faces])
     areas = trimesh.triangles.area(plate.vertices[plate.faces])
     broad = LabelledMesh(
         plate.vertices, plate.faces[areas > 0.05], plate.part_of_face[areas > 0.05]

@@ -24,9 +24,13 @@ STAGES = {
     "fusion": 1,
     "sampling": 1,
     "sharp": 2,  # of recipes that ask for sharp points alone
+    "distances": 1,  # of those that ask for signed distances
     "instance": 1,  # how the stages are put together: frames, counts, what is drawn from what
     "vocabulary": 1,  # geometry, portable, records, seeding: what all of them compute with
 }
+
+_ASKED = {"sharp": '"sharp_points":', "distances": '"signed_distance":'}
+"""What a recipe's text has where it asks for a stage that not all do."""
 
 MODELS = {
     "box": 1, "drawer": 2, "eyeglasses": 2, "laptop": 2, "microwave": 1, "oven": 1,
@@ -67,7 +71,7 @@ def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
     """
     models_of = {f"{models} models": model_version(models)} if models else {}
     models_of |= {f"{form} models": FORMS[form] for form in forms}
-    asks = '"sharp_points":' in recipe
-    numbers = {n: v for n, v in (STAGES | models_of).items() if asks or n != "sharp"}
+    numbers = STAGES | models_of
+    numbers = {n: v for n, v in numbers.items() if n not in _ASKED or _ASKED[n] in recipe}
     numbers |= {name: v for name, v in SENSORS.items() if f'"{name}":' in recipe}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())

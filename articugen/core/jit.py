@@ -63,3 +63,8 @@ def minus(a, b):  # pragma: no cover - compiled
 @helper
 def dot(a, b):  # pragma: no cover - compiled
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@helper
+def cross(u, v):  # pragma: no cover - compiled
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]

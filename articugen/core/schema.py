@@ -186,7 +186,7 @@ def resolution_of(name: str) -> int:
 _STORED = "x = stored / 65535 - 0.5."
 _INTRINSICS = "fx, fy, cx, cy: u = fx x / z + cx, v = fy y / z + cy; pixel centres at + 0.5."
 _FAR = (
-    "to the nearest face that can be seen, below 0 where label > 0, no farther than the recipe's "
+    "to where material ends, below 0 in material (0 < label < 255), no farther than the recipe's "
     "signed_distance."
 )
 _LABEL = "0 free, k + 1 material of part k, 255 enclosed: no view sees it, no part holds it."

@@ -7,13 +7,14 @@
 
 from articugen.fusion.collision import Colliding, too_deep
 from articugen.fusion.distance import distances
+from articugen.fusion.ends import own_ends, posed_ends
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
 from articugen.fusion.solidify import closed_piece, face_areas, face_normals, welded
 from articugen.fusion.thin import way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
-from articugen.meshes.bvh import Bvh, build
+from articugen.meshes.bvh import Bvh
 
 __all__ = [
     "Bvh",
@@ -23,7 +24,6 @@ __all__ = [
     "PosedFields",
     "PosedSolids",
     "SolidPart",
-    "build",
     "closed_piece",
     "closed_pieces",
     "distances",
@@ -31,7 +31,9 @@ __all__ = [
     "face_normals",
     "fuse",
     "joined_bvh",
+    "own_ends",
     "pixel_width",
+    "posed_ends",
     "seen_alone",
     "seen_by",
     "solid_part",

@@ -9,7 +9,7 @@ from articugen.fusion import FusedField, kernels, solidify
 from articugen.fusion.reachable import Flood, flood, touched
 from articugen.fusion.thin import NOTHING, way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
-from articugen.meshes.bvh import Bvh, build
+from articugen.meshes.bvh import Bvh, tree_of
 
 _POINT = np.zeros((1, 3))
 _BOX = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]])
@@ -54,5 +54,5 @@ def solids() -> None:
 
 def boxes() -> None:
     mesh = tetrahedron()
-    build(mesh.vertices[mesh.faces], np.zeros(4, np.uint8), 1)
+    tree_of(mesh.vertices[mesh.faces])
     flood(touched(mesh, 8), mesh, _TREE, np.eye(4)[None])

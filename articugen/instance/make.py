@@ -17,6 +17,7 @@ from articugen.core.records import (
     JointKind,
     LabelledMesh,
     dequantize,
+    is_material,
     quantize,
 )
 from articugen.core.schema import Instance
@@ -169,12 +170,11 @@ def _query_fields(
     points = {f"{name}_points": points for name, points in stored.items()}
     labels = {f"{n}_label": fields.labels(dequantize(points)) for n, points in stored.items()}
     together = points | labels
-    if p.extras.visible is not None:
+    if p.extras.ends is not None:
+        ends, still = fusion.posed_ends(p.extras.ends, fields.material), np.eye(4)[None]
         for n, points in stored.items():
-            far = fusion.distances(
-                dequantize(points), p.extras.visible, fields.part_motion, wanted.signed_distance
-            )
-            together[f"{n}_distance"] = np.where(labels[f"{n}_label"] == FREE, far, -far)
+            far = fusion.distances(dequantize(points), ends, still, wanted.signed_distance)
+            together[f"{n}_distance"] = np.where(is_material(labels[f"{n}_label"]), -far, far)
     return together
 
 

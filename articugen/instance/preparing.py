@@ -123,14 +123,14 @@ class Extras:
     """Fields that only some recipes ask for; None if not.
 
     Attributes:
-        visible: the faces that can be seen at all, for distances.
+        ends: where the material of each part ends, for distances.
         edges: sharp ones, in the canonical pose.
         colliding: the parts, to be asked how deep they are in one another.
         cameras: of the images.
         sensors: depth cameras that all instances share.
     """
 
-    visible: fusion.Bvh | None
+    ends: LabelledMesh | None
     edges: SharpEdges | None
     colliding: fusion.Colliding | None
     cameras: Views | None
@@ -230,7 +230,7 @@ def _prepared(
         overlay=None if recipe.fusion.rule == "rigid" else backend.overlay_on(static),
         own=solids,
         grids={r: Grid.of(r, solids[0], recipe) for r in recipe.sampling.grids},
-        extras=_extras(mesh, is_seen, bvh, swept, recipe, rng),
+        extras=_extras(mesh, solids, bvh, swept, recipe, rng),
     )
 
 
@@ -325,7 +325,7 @@ def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
 
 def _extras(
     mesh: LabelledMesh,
-    is_seen: Bools,
+    solids: Sequence[fusion.OwnSolid],
     bvh: fusion.Bvh,
     swept: Floats,
     recipe: Recipe,
@@ -334,10 +334,10 @@ def _extras(
     """Return what the recipe asks for besides; `swept` (2, 3) holds the object in all its
     states."""
     sampling, images = recipe.sampling, recipe.images
-    visible = edges = colliding = cameras = sensors = None
+    ends = edges = colliding = cameras = sensors = None
     if sampling.signed_distance:
-        corners = mesh.vertices[mesh.faces[is_seen]]
-        visible = fusion.build(corners, mesh.part_of_face[is_seen], len(bvh.roots) - 1)
+        still = np.tile(np.eye(4), (len(solids), 1, 1))
+        ends = fusion.own_ends(mesh, fusion.PosedSolids(solids, still, recipe.fusion))
     if sampling.sharp_points:
         edges = sharp_edges(mesh, sampling.sharp_degrees)
     if recipe.articulation.collision != "ignore":
@@ -350,7 +350,7 @@ def _extras(
             **HELD,
             rng=rng("partial"),
         )
-    return Extras(visible, edges, colliding, cameras, sensors)
+    return Extras(ends, edges, colliding, cameras, sensors)
 
 
 def canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:

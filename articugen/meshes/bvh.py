@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.core.arrays import Bytes, Floats
+from articugen.core.arrays import Floats
 from articugen.core.jit import helper, inlined, kernel
 
 LEAF_FACES = 4
@@ -57,14 +57,8 @@ def triangle_table(corners):
     return table
 
 
-def build(corners: Floats, part_of_face: Bytes, parts: int) -> Bvh:
-    """Return the trees of `parts` parts over the faces' corners (F, 3, 3), each in its canonical
-    pose."""
-    return joined([tree_of(corners[part_of_face == part]) for part in range(parts)])
-
-
 def tree_of(corners: Floats) -> Bvh:
-    """Return the tree of one part."""
+    """Return the tree of one part over its faces' corners (F, 3, 3), in the canonical pose."""
     faces = np.ascontiguousarray(corners)
     order, box, skip, leaf, count = ordered(faces)
     roots = np.array([0, count], np.int32)

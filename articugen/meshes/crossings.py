@@ -3,7 +3,7 @@
 import numpy as np
 
 from articugen.core.arrays import Floats, Ints
-from articugen.core.jit import dot, helper, kernel, minus, vector
+from articugen.core.jit import cross, dot, helper, kernel, minus, vector
 from articugen.meshes.bvh import ordered
 
 _CLEAR = 1e-6
@@ -47,7 +47,7 @@ def _pairs(corners, box, skip, leaf, nodes, most):
 def _pierces(corners, f, g):
     """Return whether an edge of face `f` goes through the inside of face `g`."""
     a = vector(corners[g], 0)
-    across = _cross(minus(vector(corners[g], 1), a), minus(vector(corners[g], 2), a))
+    across = cross(minus(vector(corners[g], 1), a), minus(vector(corners[g], 2), a))
     length = np.sqrt(dot(across, across))
     if length < 1e-30:
         return False
@@ -63,13 +63,8 @@ def _pierces(corners, f, g):
         for k in range(3):
             start = vector(corners[g], k)
             edge = minus(vector(corners[g], (k + 1) % 3), start)
-            width = dot(_cross(edge, minus(at, start)), normal)
+            width = dot(cross(edge, minus(at, start)), normal)
             inside &= width > _CLEAR * np.sqrt(dot(edge, edge))
         if inside:
             return True
     return False
-
-
-@helper
-def _cross(u, v):
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]

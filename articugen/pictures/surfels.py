@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bytes, Floats, Ints
-from articugen.core.jit import dot, helper, kernel, minus, vector
+from articugen.core.jit import cross, dot, helper, kernel, minus, vector
 from articugen.core.near import cells_of, near
 from articugen.pictures.light import SurfaceCloud
 
@@ -312,8 +312,3 @@ def _squared(a, b):
 def ahead(point, origin, normal):
     """Return how far `point` lies in front of the plane through `origin`."""
     return dot(minus(point, origin), normal)
-
-
-@helper
-def cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -7,12 +7,13 @@ import numpy as np
 from articugen.core.geometry import apply
 from articugen.core.near import by_cell, nearest_within
 from articugen.core.recipe import Recipe
-from articugen.core.records import Floats, dequantize
+from articugen.core.records import Floats, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.verify.bounds import TOLERANCES
 
-_LOOKED_AT = 500
-"""Query points whose distance is compared with that to each surface point."""
+_LOOKED_AT, _SPECKS = 500, 0.02
+"""Query points whose distance is compared with that to each surface point, and the share of them
+that may be farther: of soups, views err in specks of the surface. Sound sets have up to 0.002."""
 
 
 def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
@@ -22,7 +23,7 @@ def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
         far, label = getattr(row, f"{stem}_distance"), getattr(row, f"{stem}_label")
         if far is None:
             continue
-        if ((far < 0.0) & (label == 0)).any() or ((far > 0.0) & (label > 0)).any():
+        if ((far < 0.0) & ~is_material(label) | (far > 0.0) & is_material(label)).any():
             yield f"{stem}_distance has another sign than the labels say"
         if np.abs(far).max(initial=0.0) > recipe.sampling.signed_distance * (1.0 + 1e-6):
             yield f"{stem}_distance goes beyond the recipe's signed_distance"
@@ -31,7 +32,8 @@ def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
         nearest = nearest_within(by_cell(surface), points, recipe.sampling.signed_distance)
         there = np.flatnonzero(nearest >= 0)
         reach = np.linalg.norm(surface[nearest[there]] - points[there], axis=1)
-        if TOLERANCES["distance"].exceeded_by(np.abs(far[::step][there]) - reach).any():
+        beyond = TOLERANCES["distance"].exceeded_by(np.abs(far[::step][there]) - reach)
+        if beyond.sum() > _SPECKS * len(points):
             yield f"{stem}_distance is greater than that to a surface point"
 
 
