@@ -24,7 +24,7 @@ from articugen.core.files import (
     written_atomically,
 )
 from articugen.inspection.report.page import write_report
-from articugen.instance.again import write_mesh
+from articugen.instance.again import write_meshes
 from articugen.pictures.contact_sheet import contact_sheet
 
 
@@ -170,7 +170,7 @@ def test_where_nothing_can_be_written_no_work_is_begun(tmp_path, monkeypatch):
         for begin in (
             lambda place=place: write_report(tmp_path, [], place / "a.html"),
             lambda place=place: contact_sheet([], place / "a.png"),
-            lambda place=place: write_mesh(tmp_path, "a", 0, 8, place / "a.ply"),
+            lambda place=place: write_meshes(tmp_path, "a", 0, 8, place / "a.ply", "material"),
         ):
             with pytest.raises(MachineFault, match=cure):
                 begin()

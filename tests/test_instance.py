@@ -298,10 +298,6 @@ def test_surface_points_lie_on_the_exact_solids(make: Maker, category: str, rule
     rigid = with_rule(made, "rigid") if rule == "rigid" else None
     for s, seen in enumerate(made.instances):
         instance = make_instance(rigid, s) if rigid else seen
-        if rigid:
-            whole, some = pose(rigid, s)[1].whole, query_points(made, s)[:4000]
-            assert np.median(np.abs(whole.value(dequantize(instance.surface_points)))) < 0.002
-            np.testing.assert_array_equal(whole.value(some) > 0, whole.is_free(some))
         points, normals = dequantize(instance.surface_points), unit_normals(instance)
         inwards = made.holds(s, points - BESIDE * normals)
         outwards = made.holds(s, points + BESIDE * normals)

@@ -12,7 +12,7 @@ from articugen.core.errors import ArticugenError, InvalidSource
 from articugen.core.recipe import Recipe
 from articugen.core.records import dequantize, quantize
 from articugen.instance import articulation
-from articugen.instance.again import prepared_again, write_mesh
+from articugen.instance.again import prepared_again, write_meshes
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import prepare
 from articugen.pipeline import door
@@ -73,17 +73,21 @@ def test_other_code_or_another_source_cannot_make_it_again(made, monkeypatch):
         prepared_again(manifest, name)
 
 
-def test_a_mesh_of_an_instance_is_closed(made, tmp_path):
-    name = Manifest.read(made).objects[0].key.object_id
-    faces = write_mesh(made, name, 1, 48, tmp_path / "oven.ply")
-    mesh = trimesh.load_mesh(tmp_path / "oven.ply")
-    assert len(mesh.faces) == faces
-    assert mesh.is_watertight
-    assert np.abs(mesh.bounds).max() < 0.5
+def test_meshes_of_an_instance_are_closed(made, tmp_path):
+    name, volume = Manifest.read(made).objects[0].key.object_id, {}
+    for of in ("material", "visible", "part"):
+        written = write_meshes(made, name, 1, 96, tmp_path / f"{of}.ply", of)
+        meshes = [trimesh.load_mesh(path) for path in written]
+        assert [len(mesh.faces) for mesh in meshes] == [*written.values()]
+        assert all(mesh.is_watertight and np.abs(mesh.bounds).max() < 0.5 for mesh in meshes)
+        volume[of] = sum(mesh.volume for mesh in meshes)
+    assert (tmp_path / "part_0.ply") in written
+    assert volume["material"] == pytest.approx(volume["part"], rel=0.02)
+    assert volume["visible"] >= 0.99 * volume["material"]
     with pytest.raises(ArticugenError, match="has the states 0 to 2"):
-        write_mesh(made, name, 3, 48, tmp_path / "oven.ply")
+        write_meshes(made, name, 3, 48, tmp_path / "oven.ply", "material")
     with pytest.raises(ArticugenError, match=r"choose one of \.ply"):
-        write_mesh(made, name, 1, 48, tmp_path / "oven.doc")
+        write_meshes(made, name, 1, 48, tmp_path / "oven.doc", "material")
 
 
 COARSE = Recipe.model_validate(

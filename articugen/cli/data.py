@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import MISSING
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -261,10 +261,15 @@ def mesh(
     output: Path = option(MISSING, "A .ply, .obj, .stl or .glb file to write.", "-o"),
     state: int = option(0, "Which instance; 0 is the canonical pose.", min=0),
     resolution: int = option(128, "Voxels along an edge.", min=8, max=1024),
+    of: Literal["material", "visible", "part"] = option(
+        "material",
+        "The parts' material; with the space that no view sees; or a file <output>_<k> for part k.",
+    ),
 ) -> None:
-    """Write a watertight mesh of one instance's field, made again from its source."""
-    from articugen.instance.again import write_mesh
+    """Write a watertight mesh of one instance, made again from its source."""
+    from articugen.instance.again import write_meshes
 
     with stderr.status("fusing ..."):
-        faces = write_mesh(folder, object_id, state, resolution, output)
-    say(f"{output}: {faces:,} faces, unit frame")
+        written = write_meshes(folder, object_id, state, resolution, output, of)
+    for path, faces in written.items():
+        say(f"{path}: {faces:,} faces, unit frame")

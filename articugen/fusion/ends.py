@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes
-from articugen.core.geometry import apply, bounds, box_corners
 from articugen.core.jit import cross, dot, helper, kernel, minus, vector
 from articugen.core.records import LabelledMesh
 from articugen.fusion.field import PosedSolids
@@ -46,8 +45,8 @@ def posed_ends(ends: LabelledMesh, solids: PosedSolids) -> Bvh:
     corners = posed.vertices[posed.faces]
     low, high = corners.min(axis=1) - _BESIDE, corners.max(axis=1) + _BESIDE
     beside = np.zeros(len(corners), np.bool_)
-    for k, solid in enumerate(solids.own):
-        box = bounds(apply(solids.part_motion[k], box_corners(solid.box)))
+    for k in range(len(solids.own)):
+        box = solids.box(k)
         meets = (low <= box[1]).all(axis=1) & (high >= box[0]).all(axis=1)
         beside |= meets & (posed.part_of_face != k)
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
-from articugen.core.geometry import apply, invert_rigid
+from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
 from articugen.core.recipe import Fusion
 from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
 from articugen.fusion import kernels
@@ -174,14 +174,6 @@ class OwnSolid:
         inside[rest] = ~self.field.is_free(points, rest)
         return inside
 
-    def value(self, points: NDArray[np.floating]) -> Floats:
-        """Return (n,) as `FusedField.value`, negative where it holds the points (n, 3)."""
-        value = self.field.value(points)
-        if self.closed is not None:
-            sure = surely_inside(points, self.closed)
-            value[sure] = np.minimum(-np.abs(value[sure]), -1e-9)
-        return value
-
 
 @dataclass(frozen=True, eq=False)
 class PosedSolids:
@@ -196,6 +188,10 @@ class PosedSolids:
     own: Sequence[OwnSolid]
     part_motion: Floats
     settings: Fusion
+
+    def box(self, part: int) -> Floats:
+        """Return (2, 3) what holds the part."""
+        return bounds(apply(self.part_motion[part], box_corners(self.own[part].box)))
 
     def holds(
         self, part: int, points: NDArray[np.float32], which: Indices, *, glance: bool = False
@@ -235,14 +231,6 @@ class PosedSolids:
                 indices = np.flatnonzero(part == k)
                 inside[indices] = surely_inside(apply(T, points[indices]), closed)
         return inside
-
-    def value(self, points: NDArray[np.floating]) -> Floats:
-        """Return (n,) the least of the parts' own values at `points` (n, 3), see
-        `FusedField.value`."""
-        value = np.full(len(points), self.settings.truncation)
-        for solid, T in zip(self.own, invert_rigid(self.part_motion), strict=True):
-            value = np.minimum(value, solid.value(apply(T, points)))
-        return value
 
 
 @dataclass(frozen=True, eq=False)

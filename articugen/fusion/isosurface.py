@@ -6,6 +6,7 @@ import numpy as np
 
 from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.errors import RejectedInstance
+from articugen.core.geometry import bounds
 from articugen.core.records import Mesh
 from articugen.fusion.field import FusedField, PosedSolids
 from articugen.meshes.marching_cubes import zero_level
@@ -13,24 +14,19 @@ from articugen.meshes.marching_cubes import zero_level
 _AT_A_TIME = 1 << 20  # voxels whose sign is asked at a time
 
 
-def extract_mesh(
-    field: FusedField | PosedSolids, resolution: int, *, box: Floats | None = None
-) -> Mesh:
+def extract_mesh(field: FusedField | PosedSolids, resolution: int) -> Mesh:
     """Return the zero level of `field` in the unit cube as a closed mesh, unit frame, faces
     outwards.
 
-    Marching cubes on the voxel centres of a grid of `resolution`^3. Only voxels beside a
-    change of sign are evaluated in full.
-
-    Args:
-        box: (2, 3) that holds all that is inside: only voxels around it are examined, and vertices
-            are bisected to where it becomes free.
+    Marching cubes on the voxel centres of a grid of `resolution`^3. Vertices lie where the field's
+    values say, those of solids where it becomes free; of these only voxels around are examined.
 
     Raises:
         RejectedInstance: no voxel centre lies inside.
     """
     first, count = 0, resolution  # the lowest voxel, and how many along an edge
-    if box is not None:
+    if isinstance(field, PosedSolids):
+        box = bounds(np.concatenate([field.box(part) for part in range(len(field.own))]))
         first, last = np.clip(np.floor((box + 0.5) * resolution), 0, resolution - 1).astype(int)
         count = int((last - first).max()) + 1
     inside = ~_free(field, resolution, first, count)
@@ -38,14 +34,14 @@ def extract_mesh(
         raise RejectedInstance(
             f"no voxel centre of a {resolution}^3 grid lies inside; ask for a finer one"
         )
-    beside = _beside_a_change(inside)
-    points = (np.argwhere(beside) + first + 0.5) / resolution - 0.5
-    size = np.ones(inside.shape)
-    # the sign decides what is connected; a value of exactly zero would belong to neither side
-    size[beside] = np.maximum(np.abs(field.value(points)) / field.settings.truncation, 1e-3)
-    mesh = zero_level(np.where(inside, size, -size))
-    if box is None:
-        return mesh
+    if isinstance(field, FusedField):
+        beside = _beside_a_change(inside)
+        points = (np.argwhere(beside) + 0.5) / resolution - 0.5
+        size = np.ones(inside.shape)
+        # the sign decides what is connected; a value of exactly zero would belong to neither side
+        size[beside] = np.maximum(np.abs(field.value(points)) / field.settings.truncation, 1e-3)
+        return zero_level(np.where(inside, size, -size))
+    mesh = zero_level(np.where(inside, 1.0, -1.0))
     at = _bisected(
         (mesh.vertices + 0.5) * count - 0.5,
         lambda place: field.is_free((place + first + 0.5) / resolution - 0.5),

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from articugen.core import content
 from articugen.core.errors import ArticugenError, InvalidSource, RejectedInstance
 from articugen.core.files import check_place
+from articugen.core.geometry import apply
 from articugen.core.recipe import Recipe
 from articugen.core.records import ArticulatedObject, Mesh, ResolvedObject
 from articugen.fusion import PosedSolids
@@ -19,6 +21,9 @@ from articugen.sources import readers
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
+
+Of = Literal["material", "visible", "part"]
+"""What a mesh is of."""
 
 
 def generator_of(ref: ObjectRef, recipe: str) -> str:
@@ -72,21 +77,34 @@ def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
     return prepare(_resolved(obj, settings, recipe), recipe.for_one_object(), manifest.seed)
 
 
-def write_mesh(folder: Path, object_id: str, state_index: int, resolution: int, path: Path) -> int:
-    """Write the watertight mesh of one instance's field, unit frame; the number of its faces.
+def write_meshes(
+    folder: Path, object_id: str, state_index: int, resolution: int, path: Path, of: Of
+) -> dict[Path, int]:
+    """Write watertight meshes of one instance, unit frame: of its material, of that and the space
+    that no view sees, or of each `part` <name>_<part>; files and the numbers of their faces.
 
     Raises:
-        ArticugenError: as `prepared_again`; no such state; the file cannot be written.
+        ArticugenError: as `prepared_again`; no such state; a file cannot be written.
     """
     check_format(path)
     check_place(path)
     prepared = prepared_again(Manifest.read(folder), object_id)
     if state_index >= len(prepared.states):
         raise ArticugenError(f"{object_id} has the states 0 to {len(prepared.states) - 1}")
-    _, fields = pose(prepared, state_index)
-    mesh = extract_mesh(fields.whole, resolution)
-    export(mesh, path)
-    return len(mesh.faces)
+    if of == "part":
+        motion = prepared.material(prepared.states[state_index]).part_motion
+        alone = list(part_meshes(prepared, resolution))
+        meshes = {
+            path.with_stem(f"{path.stem}_{k}"): Mesh(apply(motion[k], mesh.vertices), mesh.faces)
+            for k, mesh in enumerate(alone)
+        }
+    else:
+        _, fields = pose(prepared, state_index)
+        solid = fields.material if of == "material" else fields.whole
+        meshes = {path: extract_mesh(solid, resolution)}
+    for place, mesh in meshes.items():
+        export(mesh, place)
+    return {place: len(mesh.faces) for place, mesh in meshes.items()}
 
 
 def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
@@ -94,6 +112,6 @@ def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
     for part, solid in enumerate(prepared.own):
         alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
         try:
-            yield extract_mesh(alone, resolution, box=solid.box)
+            yield extract_mesh(alone, resolution)
         except RejectedInstance as error:
             raise RejectedInstance(f"part {part}: {error}") from None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from articugen import fusion
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.backends import backend_named
-from articugen.core.geometry import apply, bounds, box_corners
+from articugen.core.geometry import bounds
 from articugen.core.records import (
     FREE,
     JointKind,
@@ -71,8 +71,7 @@ def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> B
     label = grid.fixed.copy()
     material = fields.material
     for part in reversed(range(1, len(material.own))):  # where they overlap the first one counts
-        corners = apply(material.part_motion[part], box_corners(material.own[part].box))
-        inside = material.holds(part, grid.points, grid.within(bounds(corners)))
+        inside = material.holds(part, grid.points, grid.within(material.box(part)))
         label[inside] = part + 1
     label = fields.with_enclosed(grid.points, label)
     return label.reshape(resolution, resolution, resolution)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,12 +215,14 @@ class Made(Row):
             )
         return self._posed[1].labels(points)
 
-    def mesh(self, resolution: int = 128) -> MadeMesh:
-        """Return the surface of what is inside as a watertight mesh, unit frame, from
-        `resolution`^3 voxels.
+    def mesh(
+        self, resolution: int = 128, of: Literal["material", "visible"] = "material"
+    ) -> MadeMesh:
+        """Return the parts' material as a watertight mesh, unit frame, from `resolution`^3 voxels;
+        `visible`: with the space that no view sees.
 
         Raises:
-            InvalidArgument: that is no number from 8 to 1,024.
+            InvalidArgument: that is no number from 8 to 1,024; or of something else.
             RejectedInstance: all of it lies between the voxels' centres.
         """
         if not isinstance(resolution, int | np.integer) or not 8 <= resolution <= MOST_VOXELS:
@@ -228,7 +230,10 @@ class Made(Row):
                 f"a mesh of {resolution!r} voxels along an edge; give a number from 8 to "
                 f"{MOST_VOXELS:,}"
             )
-        mesh = extract_mesh(self._posed[1].whole, resolution)
+        if of not in ("material", "visible"):
+            raise InvalidArgument(f"a mesh of {of!r}; it is of the material, or what is visible")
+        fields = self._posed[1]
+        mesh = extract_mesh(fields.material if of == "material" else fields.whole, resolution)
         return MadeMesh(mesh.vertices, mesh.faces)
 
     def _arrays(self, names: Sequence[str]) -> list[Any]:
