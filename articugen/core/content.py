@@ -24,13 +24,9 @@ STAGES = {
     "fusion": 1,
     "sampling": 1,
     "sharp": 2,  # of recipes that ask for sharp points alone
-    "distances": 1,  # of those that ask for signed distances
     "instance": 1,  # how the stages are put together: frames, counts, what is drawn from what
     "vocabulary": 1,  # geometry, portable, records, seeding: what all of them compute with
 }
-
-_ASKED = {"sharp": '"sharp_points":', "distances": '"signed_distance":'}
-"""What a recipe's text has where it asks for a stage that not all do."""
 
 MODELS = {
     "box": 1, "drawer": 2, "eyeglasses": 2, "laptop": 2, "microwave": 1, "oven": 1,
@@ -40,7 +36,8 @@ MODELS = {
 
 FORMS = {"varied": 2, "rough": 2}  # the same for all models drawn, or written, in such a form
 
-SENSORS = {"partial_cameras": 2, "kinect_metres": 2}  # the same for recipes that name such a key
+KEYS = {"partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1}
+"""The same for recipes that have such a key."""
 
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parent.parent
@@ -71,7 +68,7 @@ def declared(models: str | None, recipe: str, forms: Iterable[str] = ()) -> str:
     """
     models_of = {f"{models} models": model_version(models)} if models else {}
     models_of |= {f"{form} models": FORMS[form] for form in forms}
-    numbers = STAGES | models_of
-    numbers = {n: v for n, v in numbers.items() if n not in _ASKED or _ASKED[n] in recipe}
-    numbers |= {name: v for name, v in SENSORS.items() if f'"{name}":' in recipe}
+    asks = '"sharp_points":' in recipe
+    numbers = {n: v for n, v in (STAGES | models_of).items() if asks or n != "sharp"}
+    numbers |= {name: v for name, v in KEYS.items() if f'"{name}":' in recipe}
     return ", ".join(f"{name} {number}" for name, number in numbers.items())
