@@ -12,8 +12,9 @@ import pytest
 from command_line import run
 from python_process import ended
 
+import articugen as ag
 from articugen import __version__
-from articugen.cli import saying
+from articugen.cli import generate, saying
 from articugen.core.errors import NotOfCategory
 from articugen.instance import articulation
 from articugen.store.shards import open_shard
@@ -468,3 +469,21 @@ def test_what_is_skipped_or_has_failed_shows_once(
     checked = run("verify", tmp_path, "-j", 1)
     assert checked.exit_code == 1
     assert "two: incomplete: is not in the data, and will be tried again" in checked.output
+
+
+def test_a_demo_is_a_set_a_picture_and_a_page(tmp_path: Path, recipe: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(generate, "DEMO", 1)
+    monkeypatch.setattr(generate, "DEMO_RECIPE", recipe)
+    shown = run("demo", "box")
+    assert shown.exit_code == 0, shown.output
+    assert len(ag.open("demo/box")) == 3
+    assert (tmp_path / "demo" / "box.png").read_bytes().startswith(b"\x89PNG")
+    assert "</html>" in (tmp_path / "demo" / "box.html").read_text("utf-8")
+    written, _, following = shown.output.partition("next:\n")
+    assert written.count("demo/box") == 3
+    first, *others = (
+        shlex.split(line.partition("articugen ")[2]) for line in following.splitlines()
+    )
+    assert run(*first).exit_code == 0
+    assert [line[0] for line in others] == ["export", "generate"]

@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import json
 import os
 import re
 import shlex
@@ -91,6 +92,20 @@ def test_a_urdf_of_ones_own_with_another_name_goes_as_well(tmp_path: Path) -> No
     assert "half open: {'slide': 0.1}" in told
     assert all(f"{name}: " in told for name in ("glb", "urdf", "ply", "webdataset"))
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("torch"), reason="torch is not installed")
+def test_the_notebook_learns_from_a_urdf_of_ones_own(tmp_path: Path, monkeypatch) -> None:
+    """Its cells one after another, which needs no jupyter; and it is kept without outputs."""
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((CHECKOUT / "examples" / "own_urdf.ipynb").read_text("utf-8"))
+    names: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None)
+            exec(compile("".join(cell["source"]), "notebook", "exec"), names)
+    assert len(names["data"]) == 81
+    assert names["error"] < 0.2 * names["spread"]
 
 
 PAGES = ("README.md", "docs/commands.md", "docs/recipes.md", "docs/python.md")

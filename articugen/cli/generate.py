@@ -1,9 +1,10 @@
-"""The commands `generate` and `merge`: they make data sets and show how far that is."""
+"""The commands `generate`, `merge` and `demo`: they make data sets and show how far that is."""
 
 # Everything else is imported where it is used: --help should not wait for numba, h5py and trimesh.
 # ruff: noqa: PLC0415
 import shlex
 import sys
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,9 @@ from articugen.pipeline.options import Options, option
 
 if TYPE_CHECKING:
     from articugen.pipeline.job import Job
+
+DEMO, DEMO_RECIPE = 3, "quick"
+"""Objects of a demo, and how they are made."""
 
 
 @offered(
@@ -144,3 +148,41 @@ def merge(
             )
         status = max(status, console.tell(manifest, folder))
     return status
+
+
+@offered(
+    "articugen demo",
+    "Without installing it: uvx --from articugen-*.whl articugen demo",
+    interrupted=KEPT,
+)
+def demo(
+    category: str = argument("What to make.", "laptop"),
+    out: Path = option(Path("demo"), "The folder to write into.", "-o"),
+) -> None:
+    """Make a few objects, a picture and a page of them, within a minute."""
+    from articugen.core.compiling import compile_kernels
+    from articugen.inspection.report.page import write_report
+    from articugen.pictures.contact_sheet import contact_sheet
+    from articugen.pipeline.door import generate as make
+
+    done = count(1)
+    with counting_bar() as count_object:
+        data = make(
+            category, out=out, recipe=DEMO_RECIPE, objects=DEMO,
+            on_object=lambda one: count_object(next(done), DEMO, one.object_id),
+        )  # fmt: skip
+    compile_kernels("inspect", notice=stderr.print)
+    sheet, page, folder = (out / f"{category}{ending}" for ending in (".png", ".html", ""))
+    with stderr.status("drawing ..."):
+        contact_sheet(data.shards, sheet, states=4)
+        write_report(folder, data.shards, page)
+    say(f"{folder}: {len(data)} instances of {DEMO} objects, each a row with points and labels")
+    say(f"{sheet}: all of them, a colour a part")
+    say(f"{page}: an object to turn, and what was measured; open it in a browser")
+    say("next:")
+    for words in (
+        ("inspect", folder),
+        ("export", folder, "--to", "glb", "--out", out / "glb"),
+        ("generate", "-c", "mine", "-s", "path/to/your/urdfs"),
+    ):
+        say(f"  {command(*words)}")
