@@ -7,6 +7,7 @@ import torch
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
+from articugen.learning import commands
 from articugen.learning import race as race_module
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
@@ -147,3 +148,10 @@ def test_seeds_that_cannot_be_compared_are_refused(change, said):
     with pytest.raises(InvalidRecipe, match=said):
         bad.with_seeds(2)
     assert bad.with_seeds(1).seeds.count == 1
+
+
+def test_of_one_object_a_single_seed_is_trained(tmp_path):
+    data = write_boxes(tmp_path / "box", train=1, test=1, states=2)
+    run = commands.train(data, TINY, runs=tmp_path / "runs")
+    assert read_checkpoint(run.path / LATEST).iteration == 6
+    assert not (run.path / RACE).exists()

@@ -129,7 +129,9 @@ def train(
     what = loop.Training(
         settings, category, source, Path(runs) / category, seed, resume=resume, device=device
     )
-    if settings.seeds.count == 1:
+    # of one object none is held out, by which seeds could be judged
+    is_single = not isinstance(source, Endless) and sum(_training_objects(source)) == 1
+    if settings.seeds.count == 1 or is_single:
         return loop.train(what, on_progress=on_progress)
     is_alone = device != "cpu" or isinstance(source, Endless)
     at_once = 1 if is_alone else jobs or os.cpu_count() or 1
@@ -386,9 +388,7 @@ def predict(
 def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
     """Return advice before a training on a data set, on several, or on a stream."""
     folders, advice = _folders(data) if data else (), []
-    counts = [
-        sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
-    ]
+    counts = _training_objects(folders)
     if folders and sum(counts) < FEW_OBJECTS:
         advice.append(
             f"{folders[0]}: {sum(counts)} training objects show that all works, but teach little "
@@ -409,6 +409,13 @@ def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
             + installing("tensorboard")
         )
     return advice
+
+
+def _training_objects(folders: Sequence[Path]) -> list[int]:
+    """Return how many objects of each data set are for training."""
+    return [
+        sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
+    ]
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
