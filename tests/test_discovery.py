@@ -17,7 +17,7 @@ from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
-from articugen.discovery.objects import Judged, ObjectJoints, axes_apart, discover_all
+from articugen.discovery.objects import Judged, ObjectJoints, _judged, axes_apart, discover_all
 from articugen.store.rows import Row
 from tests.shapes import box
 
@@ -277,6 +277,9 @@ def test_a_data_set_is_judged_by_its_truth(tmp_path: Path) -> None:
     lid = max(one.found.joints, key=lambda joint: abs(joint.axis @ truth.axis))
     assert degrees_between(lid.axis * np.sign(lid.axis @ truth.axis), truth.axis) < 5.0
     assert axes_apart(lid, truth.axis, truth.pivot) < 0.05
+    still = _judged(None, list(ag.open(data))).apart
+    assert one.judged.apart is not None
+    assert one.judged.apart < 0.5 * still  # the knob's is missing
 
 
 def test_states_that_are_off_are_not_right() -> None:

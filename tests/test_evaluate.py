@@ -43,7 +43,7 @@ def test_the_truth_scores_full_marks(boxes):
     assert means["reconstruction_iou"] == 1.0
     matched = {name: value for name, value in means.items() if name.startswith("matched")}
     assert matched.pop("matched_part_iou") == 1.0
-    assert len(matched) == 4 + 4
+    assert len(matched) == 4 + 5
     assert max(matched.values()) == pytest.approx(0.0, abs=1e-6)
     assert [(line.joint, line.kind) for line in result.joint_lines] == [
         (0, "revolute"),

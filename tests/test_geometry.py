@@ -164,3 +164,35 @@ def test_weights_choose_the_triangles() -> None:
     np.testing.assert_allclose(points, np.repeat(face[:, None], 3, 1), atol=1e-15)
     _, face = g.points_on_triangles(corners, 1000, rng=rng)
     assert set(face) == {0, 1, 2}, "points count the same"
+
+
+@given(st.integers(0, 10**6))
+def test_motions_are_apart_as_the_authors_have_it(seed):
+    """Their kinetic-energy norm, of the centre and inertia that points of equal mass have; and
+    whichever end is called lower, whichever way the axis points."""
+    arena = pytest.importorskip("articulatearena")
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(30, 3))
+    center, off = points.mean(axis=0), points - points.mean(axis=0)
+    inertia = (off * off).sum() * np.eye(3) - off.T @ off
+    norm = arena.make_kinetic_energy_norm(arena.LinkInertia(mass=30.0, com=center, inertia=inertia))
+    ends = []
+    for kind in rng.choice(["revolute", "prismatic"], 2):
+        axis, pivot, limits = rng.normal(size=3), rng.normal(size=3), rng.normal(size=2)
+        axis /= np.linalg.norm(axis)
+        ours = g.twist_ends(axis, pivot if kind == "revolute" else None, limits)
+        twist = arena.screw_twist(axis, pivot, str(kind))
+        theirs = arena.make_endpoint_pair(twist, *limits)
+        turned = g.twist_ends(-axis, pivot if kind == "revolute" else None, -limits[::-1])
+        assert g.motions_apart(ours, turned, points) == pytest.approx(0.0, abs=1e-7)
+        ends.append((ours, theirs))
+    (one, first), (other, second) = ends
+    expected = arena.joint_metric(first.u.data, first.v.data, second.u.data, second.v.data, norm)
+    assert g.motions_apart(one, other, points) == pytest.approx(expected)
+
+
+def test_a_motion_by_a_hinge_and_one_that_is_missing():
+    """A point 2 from the axis, that swings by 0.1 and does not: 0.2 apart at one end."""
+    swing = g.twist_ends(np.array([0.0, 0.0, 1.0]), np.zeros(3), [0.0, 0.1])
+    at = np.array([[2.0, 0.0, 5.0]])
+    assert g.motions_apart(swing, np.zeros((2, 6)), at) == pytest.approx(0.2)

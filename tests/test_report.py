@@ -97,15 +97,15 @@ def test_it_is_said_how_large_what_is_and_what_it_is_given():
 def test_pose_estimators_have_a_table_of_their_own_with_dashes_for_what_is_not_known():
     known = {
         "matched_part_iou": 0.9, "matched_rotation_degrees_all": 5.5,
-        "matched_direction_degrees": 4.0, "matched_pivot_distance": 0.0312,
+        "matched_direction_degrees": 4.0, "matched_motion": 0.05, "matched_pivot_distance": 0.0312,
     }  # fmt: skip
     segments = result(method="bae", recipe="bae")
     segments = segments.model_copy(update={"means": {"matched_part_iou": 0.5}})
     cells = rows(tables([result(**known), segments]))
     title = "laptop, as SCAPO and OP-Align"
-    assert cells[title, title] == ["part IoU", "turn °", "axis °", "pivot"]
-    assert cells[title, "r"] == ["90.0", "5.50", "4.00", "3.12"]
-    assert cells[title, "bae"] == ["50.0", "-", "-", "-"]
+    assert cells[title, title] == ["part IoU", "turn °", "axis °", "pivot", "E"]
+    assert cells[title, "r"] == ["90.0", "5.50", "4.00", "3.12", "5.00"]
+    assert cells[title, "bae"] == ["50.0", "-", "-", "-", "-"]
     assert "as SCAPO and OP-Align" not in tables([result("oven")])
 
 

@@ -137,7 +137,7 @@ def _table(discovery: "Discovery") -> "Table":
 def _summary(objects: "Sequence[ObjectJoints]") -> str:
     from articugen.discovery.objects import AXIS, PIVOT, mean_error, share
 
-    turned, slid = mean_error(objects, "turned"), mean_error(objects, "slid")
+    turned, slid, far = (mean_error(objects, name) for name in ("turned", "slid", "apart"))
     errors = [f"{turned * 57.29578:.2f} degrees"] if turned is not None else []
     errors += [f"{slid:.4f} of the unit frame"] if slid is not None else []
     seconds = sum(o.seconds for o in objects) / max(len(objects), 1)
@@ -147,5 +147,5 @@ def _summary(objects: "Sequence[ObjectJoints]") -> str:
         f"degrees {share(objects, 'axis'):.0%}, pivot within {PIVOT:g} "
         f"{share(objects, 'pivot'):.0%}, states within these {share(objects, 'states'):.0%}; "
         f"states off by {' and '.join(errors) or 'nothing that can be said'} on average; "
-        f"{seconds:.1f} s of CPU an object"
+        f"E {far or 0.0:.4f}; {seconds:.1f} s of CPU an object"
     )

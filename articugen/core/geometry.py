@@ -175,3 +175,34 @@ def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Floats
     T[..., :3, 3] = -turned(T[..., :3, :3], eye)
     T[..., 3, 3] = 1.0
     return T
+
+
+def twist_ends(direction: Floats, pivot: Floats | None, ends: ArrayLike) -> Floats:
+    """Return (2, 6) the twists (w, v) that move by a joint from rest to both ends of a range.
+
+    Points x move by w x x + v, to first order.
+
+    Args:
+        direction: (3,) of unit length.
+        pivot: (3,) a point on the axis of a joint that turns; None of one that slides.
+        ends: (2,) states, radians or lengths.
+    """
+    slides = pivot is None
+    twist = [0.0 * direction, direction] if slides else [direction, np.cross(pivot, direction)]
+    return np.asarray(ends, dtype=np.float64)[:, None] * np.concatenate(twist)
+
+
+def motions_apart(one: Floats, other: Floats, points: Floats) -> float:
+    """Return the quotient distance E of two joints' motions `twist_ends` (2, 6), unit of `points`.
+
+    The root of the mean square by which the ends of their ranges move points (n, 3) of a part
+    apart, whichever end comes first: 0 where they are the same motion, however it is written
+    (ArticulateArena, arXiv 2609.33931, with its kinetic-energy norm for equal masses at the points;
+    a joint that is missing does not move).
+    """
+
+    def square(twist: Floats) -> float:
+        moved = np.cross(twist[:3], points) + twist[3:]
+        return float((moved * moved).sum(axis=1).mean())
+
+    return min(sum(map(square, one - ends)) for ends in (other, other[::-1])) ** 0.5

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from articugen import discovery
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
+from articugen.core.geometry import motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.discovery.groups import Groups, agreement, group_instances
@@ -37,6 +38,7 @@ class Judged:
         states: and their mean error is within AXIS or PIVOT.
         turned, slid: the mean error of the states of revolute (radians) and prismatic joints (unit
             frame) of the right kind; None where there are none.
+        apart: the mean E of the joints over the states that are there, see `motions_apart`.
     """
 
     count: bool
@@ -46,6 +48,7 @@ class Judged:
     states: bool
     turned: float | None
     slid: float | None
+    apart: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,13 +203,16 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
     """Judge a discovery by the truth of the rows, the first of which is pose 0."""
     truth, first = rows[0].joints, rows[0]
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
-    if discovery is None:
-        return Judged(not truth, False, False, False, False, None, None)
-    of = _matched(discovery, first.surface.part, len(truth))
+    found, of = (), dict[int, int]()
+    if discovery:
+        found, of = discovery.joints, _matched(discovery, first.surface.part, len(truth))
+    points, part = np.asarray(first.surface.points, np.float64), first.surface.part
+    apart = list[float]()
     kind, axis, pivot, near = True, True, True, True
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
-        match = discovery.joints[of[j]] if j in of else None
+        match = found[of[j]] if j in of else None
+        apart.append(_apart(match, true, states[:, j] - states[0, j], points[part == j + 1]))
         if match is None or str(match.kind) != true.kind:
             kind = axis = pivot = near = False
             continue
@@ -218,8 +224,25 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
         near &= bool(off <= (np.radians(AXIS) if match.kind == JointKind.REVOLUTE else PIVOT))
         errors[true.kind].append(off)
     mean = {name: float(np.mean(some)) if some else None for name, some in errors.items()}
-    count = len(discovery.joints) == len(truth)
-    return Judged(count, kind, axis, pivot, near, mean["revolute"], mean["prismatic"])
+    mean["apart"] = float(np.mean(apart)) if apart else None
+    count = len(found) == len(truth)
+    if not discovery:
+        kind = axis = pivot = near = False
+    ends = mean["revolute"], mean["prismatic"], mean["apart"]
+    return Judged(count, kind, axis, pivot, near, *ends)
+
+
+def _apart(match: FoundJoint | None, true: Any, states: Floats, points: Floats) -> float:
+    """Return E of a joint as found, over the states (P,) since pose 0."""
+    if not len(points):
+        return 0.0  # nothing of it is seen
+    pivot = true.pivot if true.kind == "revolute" else None
+    truth = twist_ends(np.asarray(true.axis), pivot, [states.min(), states.max()])
+    ends = np.zeros((2, 6))
+    if match is not None:
+        pivot = match.pivot if match.kind == JointKind.REVOLUTE else None
+        ends = twist_ends(match.axis, pivot, [match.states.min(), match.states.max()])
+    return motions_apart(truth, ends, points)
 
 
 def axes_apart(joint: FoundJoint, axis: Floats, pivot: Floats) -> float:
@@ -269,7 +292,7 @@ def share(objects: Sequence[ObjectJoints], name: str) -> float:
 
 
 def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
-    """Return the mean of `turned` or `slid` over the objects that have it."""
+    """Return the mean of `turned`, `slid` or `apart` over the objects that have it."""
     values = [getattr(o.judged, name) for o in objects if getattr(o.judged, name) is not None]
     return float(np.mean(values)) if values else None
 

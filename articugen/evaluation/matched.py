@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from articugen.core.geometry import apply
+from articugen.core.geometry import apply, motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.evaluation import metrics
@@ -94,7 +94,8 @@ def joint_errors(
     predicted: tuple[Reconstruction, Reconstruction],
     matched: Matching,
 ) -> Iterator[tuple[str, float]]:
-    """Yield how far each joint's direction, pivot and state since the canonical pose are off.
+    """Yield how far each joint's direction, pivot, state and motion (`motions_apart`) since the
+    canonical pose are off.
 
     Args:
         instances, matched: as `pose_errors` takes them.
@@ -112,14 +113,21 @@ def joint_errors(
         revolute = kind == JointKind.REVOLUTE
         true_change = float(instance.joint_state[j] - canonical.joint_state[j])
         direction, pivot, change = RIGHT_ANGLE, DIAGONAL, 0.0
+        true_pivot = instance.joint_pivot[j] if revolute else None
+        truth, ends = twist_ends(true_axis, true_pivot, [0.0, true_change]), np.zeros((2, 6))
         if i != NO_LABEL and joints.kind[i] == kind:
             u = joints.direction[i]
             direction = float(np.degrees(metrics.angle_between_lines(u, true_axis)))
             pivot = metrics.point_to_line(joints.pivot[i], instance.joint_pivot[j], true_axis)
             change = joints.change_since(first, i, true_axis)
+            its_pivot, sign = joints.pivot[i] if revolute else None, np.sign(u @ true_axis)
+            ends = twist_ends(u, its_pivot, [0.0, sign * change])
         state = abs(change - true_change)
         if not fitted or abs(true_change) >= STILL[kind]:
             yield "matched_direction_degrees", direction
+        points = dequantize(instance.surface_points[instance.surface_part == j + 1])
+        if not fitted and len(points):
+            yield "matched_motion", motions_apart(truth, ends, points)
         if revolute:
             if not fitted:
                 yield "matched_pivot_distance", pivot

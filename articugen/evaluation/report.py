@@ -74,6 +74,7 @@ POSES = (
     Metric("", "pivot", "", "matched_pivot_distance", 100.0, 2),
     Metric("", "state °", "", "matched_state_degrees", 1.0, 2),
     Metric("", "state", "", "matched_state_length", 100.0, 2),
+    Metric("", "E", "", "matched_motion", 100.0, 2),
 )
 """`matched` says what they are."""
 
