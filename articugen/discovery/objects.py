@@ -203,15 +203,14 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
     """Judge a discovery by the truth of the rows, the first of which is pose 0."""
     truth, first = rows[0].joints, rows[0]
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
-    found, of = (), dict[int, int]()
-    if discovery:
-        found, of = discovery.joints, _matched(discovery, first.surface.part, len(truth))
+    joints = discovery.joints if discovery else ()
+    of = _matched(discovery, first.surface.part, len(truth)) if discovery else {}
     points, part = np.asarray(first.surface.points, np.float64), first.surface.part
     apart = list[float]()
     kind, axis, pivot, near = True, True, True, True
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
-        match = found[of[j]] if j in of else None
+        match = joints[of[j]] if j in of else None
         apart.append(_apart(match, true, states[:, j] - states[0, j], points[part == j + 1]))
         if match is None or str(match.kind) != true.kind:
             kind = axis = pivot = near = False
@@ -225,7 +224,7 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
         errors[true.kind].append(off)
     mean = {name: float(np.mean(some)) if some else None for name, some in errors.items()}
     mean["apart"] = float(np.mean(apart)) if apart else None
-    count = len(found) == len(truth)
+    count = len(joints) == len(truth)
     if not discovery:
         kind = axis = pivot = near = False
     ends = mean["revolute"], mean["prismatic"], mean["apart"]
