@@ -1,11 +1,13 @@
 """A small data set made again from its source."""
 
+import re
 from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 import trimesh
+from command_line import run
 
 from articugen.core import content
 from articugen.core.errors import ArticugenError, InvalidSource
@@ -76,14 +78,18 @@ def test_other_code_or_another_source_cannot_make_it_again(made, monkeypatch):
 def test_meshes_of_an_instance_are_closed(made, tmp_path):
     name, volume = Manifest.read(made).objects[0].key.object_id, {}
     for of in ("material", "visible", "part"):
-        written = write_meshes(made, name, 1, 96, tmp_path / f"{of}.ply", of)
+        where = ("--state", 1, "--resolution", 96, "-o", tmp_path / f"{of}.ply")
+        done = run("mesh", made, name, *where, "--of", of)
+        written = sorted(tmp_path.glob(f"{of}*.ply"))
         meshes = [trimesh.load_mesh(path) for path in written]
-        assert [len(mesh.faces) for mesh in meshes] == [*written.values()]
+        assert re.findall(r": ([\d,]+) faces", done.output) == [f"{len(m.faces):,}" for m in meshes]
         assert all(mesh.is_watertight and np.abs(mesh.bounds).max() < 0.5 for mesh in meshes)
         volume[of] = sum(mesh.volume for mesh in meshes)
     assert (tmp_path / "part_0.ply") in written
     assert volume["material"] == pytest.approx(volume["part"], rel=0.02)
     assert volume["visible"] >= 0.99 * volume["material"]
+    with pytest.raises(ArticugenError, match="is of material, visible or part, not 'all'"):
+        write_meshes(made, name, 1, 48, tmp_path / "oven.ply", "all")
     with pytest.raises(ArticugenError, match="has the states 0 to 2"):
         write_meshes(made, name, 3, 48, tmp_path / "oven.ply", "material")
     with pytest.raises(ArticugenError, match=r"choose one of \.ply"):

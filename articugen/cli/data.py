@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import MISSING
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -261,9 +261,10 @@ def mesh(
     output: Path = option(MISSING, "A .ply, .obj, .stl or .glb file to write.", "-o"),
     state: int = option(0, "Which instance; 0 is the canonical pose.", min=0),
     resolution: int = option(128, "Voxels along an edge.", min=8, max=1024),
-    of: Literal["material", "visible", "part"] = option(
+    of: str = option(
         "material",
-        "The parts' material; with the space that no view sees; or a file <output>_<k> for part k.",
+        "material of the parts; visible: with the space that no view sees; or part: a file "
+        "<output>_<k> for each part k.",
     ),
 ) -> None:
     """Write a watertight mesh of one instance, made again from its source."""

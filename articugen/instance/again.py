@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from articugen.core import content
-from articugen.core.errors import ArticugenError, InvalidSource, RejectedInstance
+from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource, RejectedInstance
 from articugen.core.files import check_place
 from articugen.core.geometry import apply
 from articugen.core.recipe import Recipe
@@ -22,8 +21,8 @@ from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
-Of = Literal["material", "visible", "part"]
-"""What a mesh is of."""
+OF = ("material", "visible", "part")
+"""What a mesh may be of."""
 
 
 def generator_of(ref: ObjectRef, recipe: str) -> str:
@@ -78,14 +77,17 @@ def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
 
 
 def write_meshes(
-    folder: Path, object_id: str, state_index: int, resolution: int, path: Path, of: Of
+    folder: Path, object_id: str, state_index: int, resolution: int, path: Path, of: str
 ) -> dict[Path, int]:
     """Write watertight meshes of one instance, unit frame: of its material, of that and the space
     that no view sees, or of each `part` <name>_<part>; files and the numbers of their faces.
 
     Raises:
+        InvalidArgument: `of` is none of OF.
         ArticugenError: as `prepared_again`; no such state; a file cannot be written.
     """
+    if of not in OF:
+        raise InvalidArgument(f"a mesh is of {', '.join(OF[:-1])} or {OF[-1]}, not {of!r}")
     check_format(path)
     check_place(path)
     prepared = prepared_again(Manifest.read(folder), object_id)
