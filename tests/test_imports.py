@@ -48,6 +48,7 @@ FOREIGN: dict[str, set[str]] = {
         "evaluation.recorded.frames",
         "export.artgs",
         "inspection.report.site",
+        "meshes.pixels",
         "pictures.layout",
         "pictures.shading",
     },

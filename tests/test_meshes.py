@@ -139,7 +139,7 @@ def test_an_obj_is_read_as_a_loop_over_its_lines_reads_it(edits):
         with pytest.raises(InvalidSource, match=r"the line '.+' is not OBJ"):
             read._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
         return
-    vertices, faces = read._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
+    vertices, faces, _ = read._read_obj(bytes(text), Path("m.obj"), None)  # type: ignore[arg-type]
     assert vertices.tobytes() == np.array(coordinates).tobytes()
     assert faces.tolist() == triangles
 
@@ -151,7 +151,7 @@ def test_coordinates_of_objs_are_the_nearest_doubles():
     for form in forms:
         lines = [form % tuple(row) for row in numbers.tolist()]
         text = "".join(f"v {line}\n" for line in lines).encode()
-        vertices, _ = read._read_obj(text, Path("m.obj"), None)  # type: ignore[arg-type]
+        vertices, *_ = read._read_obj(text, Path("m.obj"), None)  # type: ignore[arg-type]
         assert vertices.tolist() == [[float(word) for word in line.split()] for line in lines]
 
 

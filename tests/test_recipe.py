@@ -161,6 +161,7 @@ def test_a_recipe_knows_the_fields_of_its_shards() -> None:
         "coverage_16 coverage_32 coverage_64": {"sampling": {"coverage": True}},
         "uniform_distance near_distance": {"sampling": {"signed_distance": 0.1}},
         "sharp_points sharp_normals sharp_part": {"sampling": {"sharp_points": 8}},
+        "surface_color": {"sampling": {"surface_color": True}},
         "collision_depth": {"articulation": {"collision": "label"}},
         "image_part image_T_camera_world image_intrinsics": {
             "images": {"views": 2, "fields": ["part"]}
@@ -171,7 +172,10 @@ def test_a_recipe_knows_the_fields_of_its_shards() -> None:
     everything = load_recipe(
         {
             "articulation": {"collision": "reject"},
-            "sampling": {"coverage": True, "signed_distance": 0.1, "sharp_points": 8},
+            "sampling": {
+                **{"coverage": True, "signed_distance": 0.1, "sharp_points": 8},
+                "surface_color": True,
+            },
             "images": {"views": 1},
         },
         "laptop",

@@ -116,11 +116,11 @@ def test_what_nobody_sees_is_known():
 
 def test_repeated_and_empty_faces_go_once():
     mesh = labelled(two_sided(box((0.5, 0.5, 0.5))))
-    assert len(solidify.without_repeats(mesh).faces) == 12
+    assert len(solidify.unrepeated(mesh)) == 12
     flat = trimesh.Trimesh(
         [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [(0, 1, 2), (0, 1, 3)], process=False
     )
-    assert len(solidify.without_repeats(labelled(flat)).faces) == 1
+    assert len(solidify.unrepeated(labelled(flat))) == 1
 
 
 def test_a_wall_closes_the_rim_and_no_inner_edge():
@@ -128,7 +128,7 @@ def test_a_wall_closes_the_rim_and_no_inner_edge():
     mesh = labelled(sheet())
     where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, seen = solidify.solidified(mesh, where, free, shown, 0.01)
+    solid, seen, _ = solidify.solidified(mesh, where, free, shown, 0.01)
     assert len(solid.faces) == 2 * 2 + 4 * 2
     assert seen.all()
     closed = trimesh.Trimesh(solid.vertices, solid.faces)
@@ -187,7 +187,7 @@ def test_a_bent_sheet_becomes_one_watertight_solid_of_its_thickness():
     mesh = labelled(strip)
     where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, _ = solidify.solidified(mesh, where, free, shown, 0.01)
+    solid, *_ = solidify.solidified(mesh, where, free, shown, 0.01)
     together = trimesh.Trimesh(solid.vertices, solid.faces)
     together.merge_vertices(digits_vertex=9)
     trimesh.repair.fix_winding(together)

@@ -27,6 +27,23 @@ def rgb(colour: str) -> tuple[int, int, int]:
 PALETTE = np.array([rgb(colour_of(part)) for part in range(256)], np.uint8)
 """(256, 3) sRGB of each part."""
 
+_PLAIN = {
+    "knob": "#8d9196", "handle": "#8d9196", "button": "#8d9196", "drawer body": "#9c7347",
+    "drawer": "#b58a5a", "box": "#c19a6b", "laptop screen": "#2c2f33", "laptop": "#55585d",
+    "oven door": "#303336", "oven": "#8a8e93", "microwave door": "#303336",
+    "microwave": "#6a6e73", "glasses": "#3b2c24", "refrigerator door": "#f2f2f0",
+    "refrigerator": "#d5d7d6", "washing door": "#87929b", "washing": "#f0efec",
+    "door": "#c9c3b8", "": "#b4b4b4",
+}  # fmt: skip
+"""Metal, wood, cardboard, plastic and enamel, by words in the names of category and part."""
+
+
+def plain_colour(category: str, part: str) -> tuple[int, int, int]:
+    """Return sRGB that is usual for a part that states none."""
+    name = f"{category} {part}".lower()
+    return rgb(next(c for words, c in _PLAIN.items() if all(w in name for w in words.split())))
+
+
 UNNAMED = "#5f5f5f"
 """Of a predicted part that no true part has voted for."""
 

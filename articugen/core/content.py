@@ -36,7 +36,10 @@ MODELS = {
 
 FORMS = {"varied": 2, "rough": 2}  # the same for all models drawn, or written, in such a form
 
-KEYS = {"partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1}
+KEYS = {
+    "partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1, "surface_color": 1,
+    "colours": 1,
+}  # fmt: skip
 """The same for recipes that have such a key."""
 
 _INSTALLED = Path(__file__).resolve().parents[1] / "_bundled"

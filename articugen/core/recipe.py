@@ -136,6 +136,7 @@ class Sampling(_Section):
             0 for none.
         sharp_points: how many on sharp edges; 0 for none.
         sharp_degrees: an edge is sharp where its faces turn by this or more.
+        surface_color: surface points come with the colours of the model there.
         partial_views, partial_points, partial_resolution: how many depth cameras, points of each,
             pixels along the edge of its image.
         partial_cameras: where they are: `around` the object, each image just filled by it; or
@@ -155,6 +156,7 @@ class Sampling(_Section):
     signed_distance: float = Field(default=0.0, ge=0.0, le=2.0)
     sharp_points: int = Field(default=0, ge=0, le=1_000_000)
     sharp_degrees: float = Field(default=30.0, gt=0.0, lt=180.0)
+    surface_color: bool = False
     partial_views: int = Field(default=4, ge=0, le=256)
     partial_points: int = Field(default=1024, ge=0, le=1_000_000)
     partial_resolution: int = Field(default=192, ge=16, le=2048)
@@ -179,6 +181,7 @@ class Images(_Section):
         views: how many; 0 for none.
         resolution: pixels along their edges.
         fields: what of `depth`, `part`, `normal` and `rgba` is stored of each.
+        colours: of `rgba`: a colour for each of the `parts`, or those of the `model`.
     """
 
     views: int = Field(default=0, ge=0, le=1000)
@@ -186,13 +189,14 @@ class Images(_Section):
     fields: tuple[Literal["depth", "part", "normal", "rgba"], ...] = (
         *("depth", "part", "normal", "rgba"),
     )
+    colours: Literal["parts", "model"] = "parts"
 
 
 _LATER = {
     "articulation": ("one_at_a_time", "collision", "collision_depth"),
     "sampling": (
         *("near_sharp", "signed_distance", "sharp_points", "sharp_degrees"),
-        *("partial_cameras", "kinect_metres"),
+        *("surface_color", "partial_cameras", "kinect_metres"),
     ),
     "images": tuple(Images.model_fields),
 }
@@ -282,6 +286,11 @@ class Recipe(_Section):
             name = described.name.removeprefix("image_")
             return self.images.views > 0 and name in self.images.fields
         return self.at(described.asked_by) not in (0, "ignore")
+
+    @property
+    def shows_colours(self) -> bool:
+        """Return whether models must be read with their colours."""
+        return self.sampling.surface_color or self.images.colours == "model"
 
     def at(self, key: str) -> Any:
         """Return the value of a key, "sampling.grids" say."""

@@ -67,14 +67,18 @@ def _freeze(record: Any, dtype: type = np.float64, **wanted: tuple[int | None, .
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle soup. `vertices` (V, 3) metres, `faces` (F, 3) int32 indices into them."""
+    """A triangle soup. `vertices` (V, 3) metres, `faces` (F, 3) int32 indices into them, `colours`
+    (F, 3) sRGB, where they are wanted and the model states some."""
 
     vertices: Floats
     faces: NDArray[np.int32]
+    colours: Bytes | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, vertices=(None, 3))
         _freeze(self, np.int32, faces=(None, 3))
+        if self.colours is not None:
+            _freeze(self, np.uint8, colours=(len(self.faces), 3))
 
     @property
     def triangles(self) -> Floats:

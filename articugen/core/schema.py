@@ -269,6 +269,13 @@ class Instance:
     )
     surface_normals: i1 = _normals("N S 3", "Outward unit normals there: n = stored / 127.")
     surface_part: u1 = _parts("N S", "The part each belongs to.")
+    surface_color: u1 | None = stored(
+        "N S 3",
+        "sRGB of the model there, unlit.",
+        unit="sRGB",
+        gzip=True,
+        asked_by="sampling.surface_color",
+    )
     uniform_points: u2 = _points("N U 3", f"Uniform in the unit cube. {_STORED}")
     uniform_label: u1 = _labels("N U", f"Labels there. {_LABEL}")
     near_points: u2 = _points(

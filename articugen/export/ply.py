@@ -1,4 +1,5 @@
-"""PLY: the surface points of every instance, for any viewer, with normals, parts and colours."""
+"""PLY: the surface points of every instance, for any viewer, with normals, parts and colours: the
+model's where they are stored, else those of parts."""
 
 import numpy as np
 
@@ -19,7 +20,8 @@ def _write(item: Item, target: Target) -> None:
     table = np.empty(len(row.surface), kinds)
     columns = np.concatenate([row.surface.points, row.surface.normals], axis=1).T
     part = row.surface.part
-    for (name, _), column in zip(kinds, [*columns, *PALETTE[part].T, part], strict=True):
+    colours = row.surface.color if "surface_color" in row.fields else PALETTE[part]
+    for (name, _), column in zip(kinds, [*columns, *colours.T, part], strict=True):
         table[name] = column
     header = [
         "ply",

@@ -11,7 +11,7 @@ from articugen.fusion.ends import own_ends, posed_ends
 from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
-from articugen.fusion.solidify import closed_piece, face_areas, face_normals, welded
+from articugen.fusion.solidify import closed_piece, face_areas, face_normals, origins, welded
 from articugen.fusion.thin import way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh
@@ -31,6 +31,7 @@ __all__ = [
     "face_normals",
     "fuse",
     "joined_bvh",
+    "origins",
     "own_ends",
     "pixel_width",
     "posed_ends",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from articugen.core.arrays import Bools, Floats, Ints
+from articugen.core.arrays import Bools, Floats, Indices, Ints
 from articugen.core.geometry import bounds
 from articugen.core.portable import norm
 from articugen.core.recipe import Fusion
@@ -33,6 +33,7 @@ class SolidPart:
         mesh: its sheets thickened, its faces turned outwards.
         seen: (F,) which of its faces can be seen.
         closed: (F,) which are those of closed pieces.
+        origin: (F,) which face of the soup each was, see `solidify.origins`.
         tree, box: of its faces, and what holds them, (2, 3).
         pieces: the closed ones; None where the recipe's rule takes the views' word alone.
         judged_by: the field that says so; None where sheets have become slabs, which it knows not.
@@ -43,6 +44,7 @@ class SolidPart:
     mesh: LabelledMesh
     seen: Bools
     closed: Bools
+    origin: Indices
     tree: Bvh
     box: Floats
     pieces: ClosedPieces | None
@@ -56,7 +58,8 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     Args:
         soup: the part's faces in the canonical pose, unit frame, as the model has them.
     """
-    soup = solidify.without_repeats(soup).compact()
+    keep = solidify.unrepeated(soup)
+    soup = LabelledMesh(soup.vertices, soup.faces[keep], soup.part_of_face[keep]).compact()
     piece, box = solidify.closed_piece(soup), _box(soup)
     field = fuse(render(soup, box), soup, settings)
     pieces, closed = _closed_pieces(soup, piece, settings, field.bvh), piece >= 0
@@ -72,15 +75,16 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     probes = np.flatnonzero(~closed[where.face] | covered)
     free[1, probes] = ~alone.holds(where.points[1][probes])
     shown = solidify.shown_sides(soup, field.maps)
-    mesh, is_seen = solidify.solidified(soup, where, free, shown, thickness, closed)
+    mesh, is_seen, origin = solidify.solidified(soup, where, free, shown, thickness, closed)
+    origin = keep[origin]
     if np.array_equal(mesh.faces, soup.faces):
-        return SolidPart(mesh, is_seen, closed, field.bvh, box, pieces, field)
+        return SolidPart(mesh, is_seen, closed, origin, field.bvh, box, pieces, field)
     slit = _slit(soup, where, free.all(axis=0) & ~closed[where.face], thickness, field.bvh)
     tree, piece = tree_of(mesh.vertices[mesh.faces]), solidify.closed_piece(mesh)
     pieces, closed = _closed_pieces(mesh, piece, settings, tree), piece >= 0
     if len(mesh.faces) == len(soup.faces):
-        return SolidPart(mesh, is_seen, closed, tree, box, pieces, field)
-    return SolidPart(mesh, is_seen, closed, tree, _box(mesh), pieces, None, slit)
+        return SolidPart(mesh, is_seen, closed, origin, tree, box, pieces, field)
+    return SolidPart(mesh, is_seen, closed, origin, tree, _box(mesh), pieces, None, slit)
 
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:

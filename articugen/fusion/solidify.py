@@ -71,17 +71,29 @@ def _key(*columns: Ints) -> Ints:
     return key
 
 
-def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
-    """Return the mesh with one of each set of coincident faces, whatever their winding, and no face
-    without area. Vertices are kept."""
+def unrepeated(mesh: LabelledMesh) -> Indices:
+    """Return the first of each set of coincident faces, whatever their winding; none without
+    area."""
     corners = np.sort(welded(mesh.vertices)[mesh.faces], axis=1)
     solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
     key = _key(*corners.T, mesh.part_of_face.astype(np.int64))
     first = np.sort(np.unique(key[solid], return_index=True)[1])
     keep = np.flatnonzero(solid)[first]
     areas = face_areas(mesh.vertices, mesh.faces[keep])
-    keep = keep[areas > 1e-12]
-    return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
+    return keep[areas > 1e-12]
+
+
+def origins(mesh: LabelledMesh, origin: Indices, soup: LabelledMesh) -> Indices:
+    """Return (F,) the faces of `soup` whose looks those of `mesh` have: their `origin`, or where
+    that coincides with others, the first of them that looks the same way."""
+    corners = np.sort(welded(soup.vertices)[soup.faces], axis=1)
+    _, first, which = np.unique(_key(*corners.T), return_index=True, return_inverse=True)
+    normals = face_normals(soup.vertices, soup.faces)
+    other = np.flatnonzero(dot(normals, normals[first[which]]) < 0.0)[::-1]
+    reverse = first.copy()
+    reverse[which[other]] = other  # of several the last one written, which is the first
+    turned = dot(face_normals(mesh.vertices, mesh.faces), normals[first[which[origin]]]) < 0.0
+    return np.where(turned, reverse[which[origin]], first[which[origin]])
 
 
 def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Probes:
@@ -169,7 +181,7 @@ def solidified(
     shown: Indices,
     thickness: float,
     solid: Bools | None = None,
-) -> tuple[LabelledMesh, Bools]:
+) -> tuple[LabelledMesh, Bools, Indices]:
     """Return the mesh with its sheets thickened and its faces turned outwards.
 
     Args:
@@ -181,7 +193,7 @@ def solidified(
         solid: (F,) which faces are `closed`, where that is known.
 
     Returns:
-        The mesh, and for each of its faces whether it can be seen at all.
+        The mesh, and for each of its faces whether it can be seen at all, and which it was.
     """
     count = np.bincount(where.face, minlength=len(mesh.faces))
     share = [np.bincount(where.face, weights=w, minlength=len(mesh.faces)) / np.maximum(count, 1)
@@ -197,18 +209,20 @@ def solidified(
     faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
     is_seen = (share[0] > 0.0) | (shown[0] > 0) | (((share[1] > 0.0) | (shown[1] > 0)) & ~solid)
     kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
-    slabs = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
+    slabs, of_sheet = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
     vertices = np.concatenate([kept.vertices, slabs.vertices])
     all_faces = np.concatenate([kept.faces, slabs.faces + len(kept.vertices)])
     parts = np.concatenate([kept.part_of_face, slabs.part_of_face])
     is_seen = np.concatenate([is_seen[~sheet], np.ones(len(slabs.faces), np.bool_)])
-    return LabelledMesh(vertices, all_faces, parts), is_seen
+    origin = np.concatenate([np.flatnonzero(~sheet), np.flatnonzero(sheet)[of_sheet]])
+    return LabelledMesh(vertices, all_faces, parts), is_seen, origin
 
 
 def _slabs(
     vertices: Floats, faces: NDArray[np.int32], part_of_face: Bytes, thickness: float
-) -> LabelledMesh:
-    """Return each face as a slab: two caps, and walls on the edges where the sheet ends or folds.
+) -> tuple[LabelledMesh, Indices]:
+    """Return each face as a slab: two caps, and walls on the edges where the sheet ends or folds;
+    and which face each of its faces is of.
 
     Where the sheet goes on over an edge, smoothly, the slabs on both sides share the edge's lifted
     ends (a mitre joint): along a bent sheet there is no crack to look into it through.
@@ -232,7 +246,8 @@ def _slabs(
             owner.append(ends)
     all_faces = np.concatenate([caps, *walls]) if len(faces) else np.zeros((0, 3), np.intp)
     source = np.concatenate([np.arange(len(faces))] * 2 + owner)
-    return LabelledMesh(lifted.reshape(-1, 3), all_faces.astype(np.int32), part_of_face[source])
+    slabs = LabelledMesh(lifted.reshape(-1, 3), all_faces.astype(np.int32), part_of_face[source])
+    return slabs, source
 
 
 def _smooth_pairs(weld: Indices, normals: Floats) -> Indices:

@@ -38,7 +38,7 @@ def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
         InvalidSource: it cannot be read; the sentence says why.
         NotOfCategory: nothing of it moves in the recipe's sense.
     """
-    return _resolved(readers.load(ref), ref.settings, recipe)
+    return _resolved(readers.load(ref, colours=recipe.shows_colours), ref.settings, recipe)
 
 
 def _resolved(obj: ArticulatedObject, settings: CategorySettings, recipe: Recipe) -> ResolvedObject:
@@ -63,7 +63,8 @@ def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject,
     changed = same_code.difference(entry.key)
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
-    obj = readers.load(ref)
+    recipe = Recipe.model_validate_json(manifest.recipe)
+    obj = readers.load(ref, colours=recipe.shows_colours)
     if obj.sha256 != entry.input_sha256:
         raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
     return obj, ref.settings

@@ -44,6 +44,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         rng = p.rng(state_index, "sharp")
         sharp = sharp_points(edges, fields.is_free_before, wanted.sharp_points, surface, rng=rng)
     joint_name, part_name, part_semantic = names_of(p.obj)
+    shown = surface.face[: wanted.surface_points]
     occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
         object_id=p.obj.object_id,
@@ -58,6 +59,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         occupancy=occupancy,
         coverage=_coverage(p, state_index, mesh, fields, occupancy) if wanted.coverage else {},
         **_sampled_fields("surface", surface, wanted.surface_points),
+        surface_color=p.extras.colours[shown] if wanted.surface_color else None,
         **_query_fields(p, state_index, surface, sharp, fields),
         **(_sampled_fields("sharp", sharp, wanted.sharp_points) if sharp else {}),
         collision_depth=colliding and float(colliding.depths(fields.material).max()),
@@ -197,7 +199,9 @@ def _image_fields(p: Prepared, mesh: LabelledMesh) -> dict[str, NDArray]:
     views = p.extras.cameras
     if views is None:
         return {}
-    drawn = images(mesh, views, p.recipe.images.fields, closed=p.closed)
+    wanted = p.recipe.images
+    colours = p.extras.colours if wanted.colours == "model" else None
+    drawn = images(mesh, views, wanted.fields, closed=p.closed, colours=colours)
     return {f"image_{name}": image for name, image in drawn.items()} | {
         "image_T_camera_world": views.T_camera_world,
         "image_intrinsics": views.intrinsics,

@@ -59,12 +59,14 @@ class Model:
         canonical, movable: the source's choice of canonical pose and of moving joints, see
             `articulation.resolve`.
         clips_to_limits: whether joints stay inside those limits where a recipe leaves it open.
+        ref: where it is read again, with its colours, for a recipe that asks for them.
     """
 
     obj: ArticulatedObject
     canonical: Canonical = "zero"
     movable: tuple[str, ...] = ()
     clips_to_limits: bool = True
+    ref: ObjectRef | None = None
 
     @property
     def object_id(self) -> str:
@@ -105,7 +107,7 @@ def load(source: str | Path, object_id: str | None = None, *, category: str | No
             f"load({str(source)!r}, {ref.object_id!r})"
         )
     settings, clips = ref.settings, open_source(str(source)).clips
-    return Model(readers.load(ref), settings.canonical, settings.movable, clips)
+    return Model(readers.load(ref), settings.canonical, settings.movable, clips, ref)
 
 
 def models(
@@ -273,8 +275,12 @@ class Maker(Sequence[Made]):
         recipe = load_recipe(recipe, model.category)
         self.recipe = recipe.for_source(clips_to_limits=model.clips_to_limits)
         self.seed = seed
+        again = model.ref if self.recipe.shows_colours else None
         self.obj = articulation.resolve(
-            model.obj, self.recipe.articulation, canonical=model.canonical, movable=model.movable
+            readers.load(again, colours=True) if again else model.obj,
+            self.recipe.articulation,
+            canonical=model.canonical,
+            movable=model.movable,
         )
 
     @property

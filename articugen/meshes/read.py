@@ -9,24 +9,26 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Bytes, Floats, Ints
 from articugen.core.errors import InvalidSource
 from articugen.core.portable import cos, sin
 from articugen.core.records import Mesh
 from articugen.meshes import scenes
+from articugen.meshes.looks import wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
 
 MAX_LINE_BYTES = 2**20  # of an OBJ: a face with so many corners is none
 MAX_COORDINATE = 1e9
 """Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
 
-_Arrays = tuple[Floats, Ints]
+_Arrays = tuple[Floats, Ints] | tuple[Floats, Ints, Bytes | None]
 
 _WANTED = ContextVar("_WANTED", default="meshes")
 
@@ -63,7 +65,7 @@ class NoMesh(InvalidSource):
 def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
     """Read the triangles of a mesh file of any of `_READERS`, in file units and frame.
 
-    Polygons become fans; nodes of a scene are baked in; materials, lines and points are ignored.
+    Polygons become fans; nodes of a scene are baked in; lines and points are ignored.
     Faces that name a vertex twice are dropped, nothing else: no merging, no reordering.
 
     Args:
@@ -86,12 +88,19 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
         return STAND_IN
     data = files.read(path)
     if wanted() == "hash" and path.suffix.lower() not in _NAME_OTHER_FILES:
+        if (looks := wanted_looks()) and path.suffix.lower() == ".obj":
+            looks.materials(_obj_lines(data), path, files)
         return STAND_IN
-    vertices, faces = read(data, path, files)
-    return checked(vertices, faces, path)
+    vertices, faces, *colours = read(data, path, files)
+    return checked(vertices, faces, path, *colours)
 
 
-def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Path) -> Mesh:
+def checked(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    path: Path,
+    colours: Bytes | None = None,
+) -> Mesh:
     """Make a `Mesh` of (V, 3) vertices and (F, 3) faces of a stranger; raises as `read_mesh`."""
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
     faces = np.asarray(faces, np.int64).reshape(-1, 3)
@@ -106,10 +115,11 @@ def checked(vertices: NDArray[np.floating], faces: NDArray[np.integer], path: Pa
             f"{path}: a coordinate is not finite, or beyond {MAX_COORDINATE:g}; export it again"
         )
     a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
+    sound = (a != b) & (b != c) & (c != a)
+    faces = faces[sound]
     if len(faces) == 0:
         raise NoMesh(f"{path}: has no triangle; remove the <visual> that uses it or export again")
-    return Mesh(vertices, faces.astype(np.int32))
+    return Mesh(vertices, faces.astype(np.int32), None if colours is None else colours[sound])
 
 
 def box(size: ArrayLike) -> Mesh:
@@ -164,7 +174,8 @@ PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 
 def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
     """`mesh` scaled along x, y, z; a mirrored one is turned outside out again."""
     mirrored = np.prod(np.sign(scale)) < 0
-    return Mesh(mesh.vertices * np.asarray(scale), mesh.faces[:, ::-1] if mirrored else mesh.faces)
+    faces = mesh.faces[:, ::-1] if mirrored else mesh.faces
+    return replace(mesh, vertices=mesh.vertices * np.asarray(scale), faces=faces)
 
 
 def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> Ints:
@@ -203,15 +214,21 @@ def _lathe(radii: Floats, heights: Floats) -> Mesh:
 
 _OBJ_VERTEX = re.compile(rb"\nv(?=\s)" + 3 * rb"[ \t\v\f]*(\S*)")
 _OBJ_POLYGON = re.compile(rb"\nf(?=\s)([^\n#]*)")
+_OBJ_BLANKS = bytes.maketrans(b"\r\t\v\f", b"\n   ")
 
 
-def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
-    """Read `v` and `f` lines, also with texture and normal indices, polygons, negative (relative)
-    indices, continued lines and comments. Everything else is ignored."""
+def _obj_lines(data: bytes) -> bytes:
+    """Return whole lines, each after a line feed."""
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\\" in data:
         data = re.sub(rb"\\\r?\n", b" ", data)
-    data = re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.replace(b"\r", b"\n"))
+    return re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.translate(_OBJ_BLANKS))
+
+
+def _read_obj(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+    """Read `v` and `f` lines, also with texture and normal indices, polygons, negative (relative)
+    indices, continued lines and comments; materials where they are wanted."""
+    data = _obj_lines(data)
     if data.count(b"\nv") > scenes.MAX_VERTICES or data.count(b"\nf") > scenes.MAX_FACES:
         vertices, faces = (
             sum(data.count(b"\n%b%c" % (kind, blank)) for blank in _BLANKS) for kind in (b"v", b"f")
@@ -234,7 +251,8 @@ def _read_obj(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
         begins = ([m.start() for m in kind.finditer(data)] for kind in (_OBJ_VERTEX, _OBJ_POLYGON))
         known = np.searchsorted(np.array(next(begins)), np.array(next(begins)))
     corners = np.where(corners < 0, corners + np.repeat(known, counts), corners - 1)
-    return coordinates.reshape(-1, 3), fans(corners, counts)
+    colours = (looks := wanted_looks()) and looks.of_obj(data, path, files)
+    return coordinates.reshape(-1, 3), fans(corners, counts), colours
 
 
 _BLANKS = b" \t\v\f\n"

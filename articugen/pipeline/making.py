@@ -148,7 +148,7 @@ def source_digest(recipe: Recipe, ref: ObjectRef) -> str:
     """Return the digest of an object's files, or why they cannot be read, as making it will;
     MachineFault or MemoryError where that says nothing of the object."""
     try:
-        return readers.digest(ref)
+        return readers.digest(ref, colours=recipe.shows_colours)
     except Exception as error:  # an object must not take the others down with it
         verdict = verdict_on(error, ref, recipe) or f"{type(error).__name__}: {error}"
         return printable(f"unreadable: {verdict}")

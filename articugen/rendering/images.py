@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools
+from articugen.core.arrays import Bools, Bytes
 from articugen.core.colours import PALETTE
 from articugen.core.geometry import cross
 from articugen.core.portable import dot, norm, power, turned
@@ -15,11 +15,18 @@ _GAMMA = 2.2
 _LAMP = np.array([-0.48, -0.64, -0.6])
 """Towards the lamp, over the viewer's left shoulder, in the camera's axes; of unit length."""
 
+_LINEAR = power(np.arange(256) / 255.0, _GAMMA)
+
 _SKY, _DIRECT = 0.4, 0.6  # how much of the light comes from all around, and from the lamp
 
 
 def images(
-    mesh: LabelledMesh, views: Views, wanted: tuple[str, ...], *, closed: Bools
+    mesh: LabelledMesh,
+    views: Views,
+    wanted: tuple[str, ...],
+    *,
+    closed: Bools,
+    colours: Bytes | None = None,
 ) -> dict[str, NDArray]:
     """Draw the `wanted` images of each of V cameras, by name.
 
@@ -27,6 +34,7 @@ def images(
         mesh: posed, unit frame.
         views: pinhole cameras, outside of the mesh.
         closed: (F,) which faces bound closed solids: their backs cannot be seen.
+        colours: (F, 3) sRGB of the faces; by default those of their parts.
 
     Returns:
         `depth` (V, H, W) float32, 0 where nothing is; `part` (V, H, W) uint8, k + 1 for part k;
@@ -54,7 +62,8 @@ def images(
         out["normal"] = _filled(hit, np.round(127.0 * normals).astype(np.int8))
         lamps = np.stack([turned(rotation.T, _LAMP) for rotation in R])
         light = _SKY + _DIRECT * np.maximum(dot(normals, lamps[view]), 0.0)
-        linear = power(PALETTE / 255.0, _GAMMA)[part] * light[:, None]
+        shown = PALETTE[part] if colours is None else colours[face]
+        linear = _LINEAR[shown] * light[:, None]
         rgba = np.full((len(face), 4), 255, np.uint8)
         rgba[:, :3] = np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA))
         out["rgba"] = _filled(hit, rgba)

@@ -153,8 +153,9 @@ def _examining(name: str, path: Path) -> Iterator[None]:
         ) from error
 
 
-def load(ref: ObjectRef) -> ArticulatedObject:
-    """Read one object with its reader, or make it. Of a stranger's model whatever nobody thought of
+def load(ref: ObjectRef, *, colours: bool = False) -> ArticulatedObject:
+    """Read one object with its reader, or make it; with its `colours`, whose files count in its
+    digest, where that is wanted. Of a stranger's model whatever nobody thought of
     is the model's fault, so that it takes no other object along.
 
     Its digest covers what source.yaml says of how it stands and moves.
@@ -164,7 +165,11 @@ def load(ref: ObjectRef) -> ArticulatedObject:
         BrokenPlugin: the reader is another package's and cannot be used.
         MachineFault, MemoryError: the disk does not answer, or the like.
     """
-    obj = reader(ref.reader).load(ref, ref.settings) if ref.is_made else _read(ref)
+    from articugen.meshes.looks import with_looks  # noqa: PLC0415 - slow to import
+
+    with with_looks(wanted=colours) as looks:
+        obj = reader(ref.reader).load(ref, ref.settings) if ref.is_made else _read(ref)
+    obj = replace(obj, notes=(*obj.notes, *map(printable, looks.notes())))
     settings = ref.settings.said()
     if settings == CategorySettings().said():
         return obj
@@ -172,13 +177,13 @@ def load(ref: ObjectRef) -> ArticulatedObject:
     return replace(obj, sha256=digest)
 
 
-def digest(ref: ObjectRef) -> str:
+def digest(ref: ObjectRef, *, colours: bool = False) -> str:
     """Return the sha256 that `load` gives a sound object, without making anything of its meshes; of
     one whose meshes are unsound, some digest of its files. Raises as `load`."""
     from articugen.meshes.read import wanting  # noqa: PLC0415 - slow to import
 
     with wanting("hash"):
-        return load(ref).sha256
+        return load(ref, colours=colours).sha256
 
 
 def _read(ref: ObjectRef) -> ArticulatedObject:

@@ -165,7 +165,7 @@ def _part(files: ModelFiles, name: str, center: Floats) -> Mesh:
     if path is None:
         raise InvalidSource(f"{by}: part_objs/{name}.obj is missing; add the file")
     mesh = read_mesh(path, files)
-    return Mesh(mesh.vertices - center, mesh.faces)
+    return replace(mesh, vertices=mesh.vertices - center)
 
 
 def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:

@@ -1,7 +1,9 @@
 """What links show, whatever the format: shapes put together, and counted before they are made."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply
 from articugen.core.records import Mesh
 from articugen.meshes import read, scenes
+from articugen.meshes.looks import GREY, colour_of, in_bytes, wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
 from articugen.sources.xml_check import MAX_NUMBER
 
@@ -20,12 +23,21 @@ MAX_OBJECT_VERTICES = scenes.MAX_VERTICES
 
 def joined(shapes: Iterable[Mesh]) -> Mesh:
     """Return all shapes as one mesh, in their order."""
-    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], 0
-    for shape in shapes:
-        vertices.append(shape.vertices)
-        faces.append(shape.faces + np.int32(count))
-        count += len(shape.vertices)
-    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+    shapes = [Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), *shapes]
+    first = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
+    faces = [s.faces + np.int32(n) for s, n in zip(shapes, first, strict=False)]
+    colours = None
+    if any(shape.colours is not None for shape in shapes):
+        known = (painted(shape, GREY.kd).colours for shape in shapes)
+        colours = np.concatenate([part for part in known if part is not None])
+    return Mesh(np.concatenate([s.vertices for s in shapes]), np.concatenate(faces), colours)
+
+
+def painted(mesh: Mesh, colour: tuple[float, ...] | None) -> Mesh:
+    """Return the mesh in a colour of 0 to 1, where it has none; None is no colour."""
+    if mesh.colours is not None or colour is None:
+        return mesh
+    return replace(mesh, colours=np.tile(in_bytes(colour), (len(mesh.faces), 1)))
 
 
 class Shapes:
@@ -38,9 +50,9 @@ class Shapes:
         self._cache: dict[Path, Mesh] = {}
         self._check_size(sum(read.PRIMITIVE_FACES.get(kind, 0) for kind in kinds), 0)
 
-    def link(self, by: str, shapes: Iterable[tuple[Mesh, str, Floats]]) -> Mesh:
-        """Put a link together of shapes, each with what messages call it and (4, 4) where it stands
-        in the link's frame; `by` names the link."""
+    def link(self, by: str, shapes: Iterable[tuple[Mesh, Any, Floats]]) -> Mesh:
+        """Put a link together of shapes, each with its element, whose rgba a mesh without colours
+        gets, and (4, 4) where it stands in the link's frame; `by` names the link."""
         return joined(self._placed(by, *shape) for shape in shapes)
 
     def file(self, name: str, by: str) -> Mesh:
@@ -55,17 +67,18 @@ class Shapes:
             self._cache[place] = read.read_mesh(place, self._files)
         return self._cache[place]
 
-    def _placed(self, by: str, shape: Mesh, kind: str, T: Floats) -> Mesh:
+    def _placed(self, by: str, shape: Mesh, element: Any, T: Floats) -> Mesh:
         self._faces += len(shape.faces)
         self._vertices += len(shape.vertices)
         self._check_size(self._faces, self._vertices)
         vertices = apply(T, shape.vertices)
         if not (np.abs(vertices) <= MAX_NUMBER).all():
             raise InvalidSource(
-                f"{by}: its <{kind}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, or the "
-                "unit of its file"
+                f"{by}: its <{element.tag}> reaches beyond {MAX_NUMBER:,.0f} m; correct its scale, "
+                "or the unit of its file"
             )
-        return Mesh(vertices, shape.faces)
+        rgba = element.get("rgba", "").split()[:3] if wanted_looks() else ()
+        return painted(replace(shape, vertices=vertices), colour_of(rgba))
 
     def _check_size(self, faces: int, vertices: int) -> None:
         if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:

@@ -216,10 +216,8 @@ class _Visuals:
         """Return all visuals of a link as one mesh in the link's frame, in the order of the
         file."""
         by = f"{self.path}: link {quoted(link.name)}"
-        pieces = (
-            (self._shape(element, by), element.tag, T) for element, T in self.shapes[link.name]
-        )
-        return self._builder.link(by, ((mesh, tag, T) for mesh, tag, T in pieces if mesh))
+        pieces = ((self._shape(element, by), element, T) for element, T in self.shapes[link.name])
+        return self._builder.link(by, ((mesh, shape, T) for mesh, shape, T in pieces if mesh))
 
     def notes(self, unseen: list[str]) -> tuple[str, ...]:
         """Return a note for each kind of thing that is not in the meshes."""

@@ -44,6 +44,7 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
         for link in robot.findall("link")
         if link.find("visual") is None and link.find("collision") is not None
     ]
+    _keep_colours(robot)
     for element in list(robot.iter(*_UNUSED)):
         element.getparent().remove(element)
     robot.set("name", robot.get("name", ""))
@@ -62,6 +63,18 @@ def checked_robot(data: bytes, path: Path) -> tuple[Any, list[str]]:
     _check_tree(check, list(links), joints)
     _check_mimics(check, joints)
     return robot, unseen
+
+
+def _keep_colours(robot: Any) -> None:
+    """Give the shapes of visuals the rgba of their materials, of which some are named elsewhere."""
+    named = {m.get("name"): m for m in robot.iter("material") if m.find("color") is not None}
+    for visual in robot.iterfind("link/visual"):
+        material = visual.find("material")
+        if material is not None and material.find("color") is None:
+            material = named.get(material.get("name"))
+        for shape in visual.iterfind("geometry/*"):
+            if material is not None and (rgba := material.find("color").get("rgba")):
+                shape.set("rgba", rgba)
 
 
 def _check_root(robot: Any, path: Path) -> None:

@@ -137,6 +137,7 @@ class RowSurface(_Cloud):
 
     normals: Float32
     part: Bytes
+    color: Bytes
 
 
 class RowQueries(_Cloud):
@@ -275,7 +276,8 @@ class Row:
     @cached_property
     def surface(self) -> RowSurface:
         """Points uniform by area over the visible surface: `points` (S, 3) float32, unit frame,
-        their outward `normals` (S, 3) float32 of unit length, the `part` (S,) of each."""
+        their outward `normals` (S, 3) float32 of unit length, the `part` (S,) of each; where the
+        recipe asks for it, the `color` (S, 3) uint8 sRGB of the model."""
         return RowSurface(self, "surface")
 
     @cached_property

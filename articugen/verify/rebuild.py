@@ -234,7 +234,9 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
     try:
         ref = open_source(source).find(category, key.object_id)
         code = generator_of(ref, str(witness.about["recipe"]))
-        return code != key.generator or digest(ref) == entry.input_sha256
+        recipe = Recipe.of_text(str(witness.about["recipe"]))
+        colours = recipe is not None and recipe.shows_colours
+        return code != key.generator or digest(ref, colours=colours) == entry.input_sha256
     except ArticugenError:  # nothing contradicts it
         return True
 

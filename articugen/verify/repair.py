@@ -155,10 +155,12 @@ def _task(manifest: Manifest, shard: str) -> Task:
         raise ArticugenError(f"it holds {1 + len(others)} objects; make the data set again")
     source, object_id = manifest.source, entry.key.object_id
     ref = open_source(source).find(manifest.category, object_id)
+    recipe = _recipe(manifest)
+    asks = recipe.shows_colours
     now = {
-        "ref": f"{source}/{object_id}" if ref.is_made else digest(ref),
+        "ref": f"{source}/{object_id}" if ref.is_made else digest(ref, colours=asks),
         "generator": generator_of(ref, manifest.recipe),
-        "recipe_sha256": _recipe(manifest).for_one_object().sha256(),
+        "recipe_sha256": recipe.for_one_object().sha256(),
     }
     changed = entry.key.model_copy(update=now).difference(entry.key)
     if ref.licence != manifest.licence:

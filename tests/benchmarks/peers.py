@@ -16,12 +16,17 @@ from articugen.core.errors import MissingDriver, MissingExtra
 from articugen.core.geometry import bounds
 from articugen.core.recipe import ViewSettings
 from articugen.core.records import Floats, LabelledMesh, Views
-from articugen.fusion.solidify import without_repeats
+from articugen.fusion.solidify import unrepeated
 from articugen.rendering import render
 from articugen.rendering.views import fusion_views
 from tests.benchmarks import labs
 from tests.benchmarks.cases import VOXEL, Bools, Inside
 from tests.benchmarks.dense import Dense, containment
+
+
+def without_repeats(mesh: LabelledMesh) -> LabelledMesh:
+    keep = unrepeated(mesh)
+    return LabelledMesh(mesh.vertices, mesh.faces[keep], mesh.part_of_face[keep])
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The meshes of an MJCF's geoms, and which of them are seen."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,11 @@ class Geoms:
         self._document, self._shapes = document, shapes
         self._assets: dict[str, Any] = document.named(document.root.iterfind("asset/mesh"))
 
-    def mesh(self, geom: Any) -> tuple[Mesh, str, Floats]:
-        """Return the mesh of a geom, what messages call it, and `T_parent_geom`."""
+    def mesh(self, geom: Any) -> tuple[Mesh, Any, Floats]:
+        """Return the mesh of a geom, the geom, and `T_parent_geom`."""
         kind, document = geom.get("type", "sphere"), self._document
         if kind == "mesh":
-            return self._asset(geom), "geom", place(geom, document)
+            return self._asset(geom), geom, place(geom, document)
         if kind not in _SIZES or geom.get("mesh") is not None:
             what = f"a {quoted(kind)}{' fitted to a mesh' if kind in _SIZES else ''}"
             raise document.refuse(geom, f"is {what}; make it a mesh, {', '.join(_SIZES)}")
@@ -69,7 +70,7 @@ class Geoms:
             mesh = read.scaled(read.sphere(1.0), size if count == 3 else size[:1] * 3)
         else:
             mesh = (read.capsule if kind == "capsule" else read.cylinder)(size[0], 2.0 * size[1])
-        return mesh, "geom", T
+        return mesh, geom, T
 
     def _asset(self, geom: Any) -> Mesh:
         name, document = geom.get("mesh", ""), self._document
@@ -85,7 +86,7 @@ class Geoms:
                 raise document.refuse(asset, "has a zero scale, or nearly; give it another")
             moved = mesh.vertices - document.numbers(asset, "refpos", (3,), "0 0 0")
             moved = turned(quaternion(asset, "refquat", document).T, moved)
-            asset = self._assets[name] = read.scaled(Mesh(moved, mesh.faces), scale)
+            asset = self._assets[name] = read.scaled(replace(mesh, vertices=moved), scale)
         return asset
 
 

@@ -1,0 +1,206 @@
+"""Base colours of mesh files, a colour a face, as their materials state them.
+
+That is the Kd of an OBJ's material, times the mean of the texture (map_Kd) over the face; other
+formats state none. Colours are read where somebody wants them (`with_looks`) alone, for their files
+count in a model's hash.
+"""
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from itertools import pairwise
+from pathlib import Path, PureWindowsPath
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from articugen.core.arrays import Bytes, Floats
+from articugen.core.errors import InvalidSource, MachineFault
+from articugen.meshes import pixels
+from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
+
+MAX_TEXTURE_BYTES = 32 * 2**20
+_FARTHEST = 1e6  # a texture's repetitions, beyond which its places are no numbers
+_PATIENCE = 300  # seconds by the clock until it is the machine's fault that nothing comes
+_UNDECODED = (pixels.UNREADABLE, -signal.SIGXCPU, -signal.SIGSEGV, -signal.SIGABRT)
+_SPREAD = [(a, b, 12 - a - b) for k in (1, 2) for a in range(k, 12, 3) for b in range(k, 12 - a, 3)]
+"""Centres of the 16 equal triangles that a triangle is cut into: weights of its corners, x 12."""
+
+
+class Material(NamedTuple):
+    """Material of an OBJ: sRGB from 0 to 1, and a texture."""
+
+    kd: tuple[float, ...]
+    texture: Path | None = None
+
+
+GREY = Material((0.5, 0.5, 0.5))  # of faces without a material, where others have one
+
+
+class Looks:
+    """Materials and textures of one object: each file is read once."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, bytes] = {}
+        self._libraries: dict[Path, dict[bytes, Material]] = {}
+        self._textures: dict[Path, Bytes | None] = {}
+        self._missing: dict[str, None] = {}  # in order
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a note where files could not be read."""
+        some = ", ".join(map(quoted, list(self._missing)[:5]))
+        return (f"{len(self._missing)} materials or textures not read: {some}",) if some else ()
+
+    def materials(self, obj: bytes, path: Path, files: ModelFiles) -> dict[bytes, Material]:
+        """Read the libraries that an OBJ names, a file a line, and their textures undecoded."""
+        known: dict[bytes, Material] = {}
+        for line in obj.split(b"\nmtllib ")[1:]:
+            place = self._find(line.partition(b"\n")[0].strip(), path, files, MAX_TEXT_BYTES)
+            if place and place not in self._libraries:
+                self._libraries[place] = self._library(place, files)
+            known |= self._libraries[place] if place else {}
+        return known
+
+    def of_obj(self, obj: bytes, path: Path, files: ModelFiles) -> Bytes | None:
+        """Return (F, 3) of an OBJ's polygons as fans; None where none of its materials is known."""
+        known, material = self.materials(obj, path, files), GREY
+        uv, corners, of_face = [], [], []
+        for line in obj.split(b"\n") if known else ():
+            key, _, rest = line.partition(b" ")
+            if key == b"usemtl":
+                material = known.get(rest.strip(), GREY)
+            elif key == b"vt":
+                uv.append((*_numbers(rest.split()[:2]), np.nan, np.nan)[:2])
+            elif key == b"f":
+                polygon = [_which(word, len(uv)) for word in rest.partition(b"#")[0].split()]
+                for second, third in pairwise(polygon[1:]):
+                    corners.append((polygon[0], second, third))
+                    of_face.append(material)
+        if all(material is GREY for material in of_face):
+            return None
+        places = np.array([*uv, (np.nan, np.nan)])[np.clip(corners, -1, len(uv))]
+        colours = np.array([material.kd for material in of_face])
+        textures = dict.fromkeys(material.texture for material in of_face)
+        number = {texture: n for n, texture in enumerate(textures)}
+        number_of_face = np.array([number[material.texture] for material in of_face])
+        for texture in filter(None, textures):
+            if texture not in self._textures:
+                self._textures[texture] = decoded(self._files[texture])
+            rows = np.flatnonzero(number_of_face == number[texture])
+            rows = rows[(np.abs(places[rows]) < _FARTHEST).all(axis=(1, 2))]  # nan is none
+            if (picture := self._textures[texture]) is None:
+                self._missing[texture.name] = None
+            else:
+                colours[rows] *= _means(picture, places[rows])
+        return in_bytes(colours)
+
+    def _find(self, name: bytes, beside: Path, files: ModelFiles, most: int) -> Path | None:
+        """Read the file of that name in the folder of `beside`; of a path of another machine, which
+        may run Windows, its last name counts. None where it cannot be read."""
+        there = PureWindowsPath(os.fsdecode(name))
+        there = beside.resolve().parent / (there.name if there.anchor else there.as_posix())
+        try:
+            place = files.find(os.path.relpath(there, files.folder))
+            if place and place not in self._files:
+                self._files[place] = files.read(place, most)
+        except InvalidSource:
+            place = None
+        if place is None:
+            self._missing[os.fsdecode(name)] = None
+        return place
+
+    def _library(self, path: Path, files: ModelFiles) -> dict[bytes, Material]:
+        known: dict[bytes, Material] = {}
+        name = b""
+        for line in self._files[path].replace(b"\t", b" ").splitlines():
+            key, _, rest = line.strip().partition(b" ")
+            rest = rest.strip()
+            if key == b"newmtl":
+                name, known[rest] = rest, Material((1.0, 1.0, 1.0))
+            elif key == b"Kd" and name and (kd := colour_of(rest.split()[:3])):
+                known[name] = known[name]._replace(kd=kd)
+            elif key == b"map_Kd" and name and rest:
+                file = rest.split()[-1] if rest.startswith(b"-") else rest  # after options
+                texture = self._find(file, path, files, MAX_TEXTURE_BYTES)
+                known[name] = known[name]._replace(texture=texture)
+        return known
+
+
+_LOOKS = ContextVar["Looks | None"]("_LOOKS", default=None)
+wanted_looks = _LOOKS.get  # None where nobody wants them
+
+
+@contextmanager
+def with_looks(*, wanted: bool) -> Iterator[Looks]:
+    """Meanwhile have mesh files of one object read with their colours, or without."""
+    looks = Looks()
+    token = _LOOKS.set(looks if wanted else None)
+    try:
+        yield looks
+    finally:
+        _LOOKS.reset(token)
+
+
+def decoded(data: bytes) -> Bytes | None:
+    """Decode a texture to (h, w, 3) sRGB of at most 256 x 256, in a process of its own; None where
+    it is none, or takes more than that may. Raises MachineFault where no process can run."""
+    command = [sys.executable, "-I", pixels.__file__]
+    try:
+        done = subprocess.run(
+            command, check=False, input=data, capture_output=True, timeout=_PATIENCE
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise MachineFault(f"{command[-1]}: cannot run ({error}); see to it") from error
+    if done.returncode in _UNDECODED:
+        return None
+    if done.returncode:
+        why = done.stderr.decode(errors="replace")[-200:]
+        raise MachineFault(f"{command[-1]}: ended with {done.returncode} ({why}); see to it")
+    width, height = struct.unpack_from("<II", done.stdout)
+    return np.frombuffer(done.stdout, np.uint8, offset=8).reshape(height, width, 3)
+
+
+def _means(texture: Bytes, corners: Floats) -> Floats:
+    """Return (n, 3), from 0 to 1, the mean of a texture over triangles (n, 3, 2) of its plane, v
+    up, in which it repeats."""
+    height, width = texture.shape[:2]
+    total = np.zeros((len(corners), 3))
+    for a, b, c in _SPREAD:
+        at = (a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2]) / 12.0 % 1.0
+        column = np.minimum((at[:, 0] * width).astype(np.intp), width - 1)
+        row = np.minimum(((1.0 - at[:, 1]) * height).astype(np.intp), height - 1)
+        total += texture[row, column]
+    return total / (255.0 * len(_SPREAD))
+
+
+def _which(corner: bytes, known: int) -> int:
+    """Return which of the `known` places in a texture a corner of an OBJ names; -1 for none."""
+    try:
+        number = int(corner.split(b"/")[1])
+    except (IndexError, ValueError):
+        return -1
+    number = number + known if number < 0 else number - 1
+    return number if 0 <= number < known else -1
+
+
+def colour_of(words: Sequence[Any]) -> tuple[float, ...] | None:
+    """Return three numbers from 0 to 1 of as many words, or of one that stands for all; or None."""
+    numbers = tuple(min(max(0.0, number), 1.0) for number in _numbers(words))
+    return {1: numbers * 3, 3: numbers}.get(len(numbers))
+
+
+def _numbers(words: Sequence[Any]) -> tuple[float, ...]:
+    try:
+        return tuple(map(float, words))
+    except (TypeError, ValueError):
+        return ()
+
+
+def in_bytes(colour: Any) -> Bytes:
+    """Return colours of 0 to 1 as bytes."""
+    return np.round(255.0 * np.asarray(colour)).astype(np.uint8)
