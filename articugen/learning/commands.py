@@ -28,7 +28,7 @@ from articugen.evaluation.report import markdown
 from articugen.evaluation.report import tables as written
 from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.learning import loop
-from articugen.learning.data.fitness import lying_otherwise
+from articugen.learning.data.fitness import lying_otherwise, training_objects
 from articugen.learning.data.windows import Endless
 from articugen.learning.loop import Notify
 from articugen.learning.method import Yardstick, find_method, load_recipe
@@ -130,7 +130,7 @@ def train(
         settings, category, source, Path(runs) / category, seed, resume=resume, device=device
     )
     # of one object none is held out, by which seeds could be judged
-    is_single = not isinstance(source, Endless) and sum(_training_objects(source)) == 1
+    is_single = not isinstance(source, Endless) and sum(training_objects(source)) == 1
     if settings.seeds.count == 1 or is_single:
         return loop.train(what, on_progress=on_progress)
     is_alone = device != "cpu" or isinstance(source, Endless)
@@ -388,7 +388,7 @@ def predict(
 def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
     """Return advice before a training on a data set, on several, or on a stream."""
     folders, advice = _folders(data) if data else (), []
-    counts = _training_objects(folders)
+    counts = training_objects(folders)
     if folders and sum(counts) < FEW_OBJECTS:
         advice.append(
             f"{folders[0]}: {sum(counts)} training objects show that all works, but teach little "
@@ -409,13 +409,6 @@ def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
             + installing("tensorboard")
         )
     return advice
-
-
-def _training_objects(folders: Sequence[Path]) -> list[int]:
-    """Return how many objects of each data set are for training."""
-    return [
-        sum(o.key.split == "train" for o in Manifest.read(folder).objects) for folder in folders
-    ]
 
 
 def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:

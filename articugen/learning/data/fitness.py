@@ -119,6 +119,12 @@ def check_varies(path: Path, names: NDArray[Any], varying: Sequence[NDArray[np.b
             )
 
 
+def training_objects(folders: Sequence[Path]) -> list[int]:
+    """Return how many objects of each data set are for training."""
+    manifests = map(Manifest.read, folders)
+    return [sum(o.key.split == "train" for o in m.objects) for m in manifests]
+
+
 def lying_otherwise(folder: Path) -> list[str]:
     """Return the training objects none of whose joints goes along one of the same kind, whatever
     its sense, of half of the other training objects.
