@@ -102,7 +102,8 @@ def crossings(
 
 def _within(ends: Floats, box: Floats) -> Floats:
     """Of segments (2, E, 3) those whose boxes meet `box` (2, 3)."""
-    return ends[:, np.all((ends.min(axis=0) < box[1]) & (ends.max(axis=0) > box[0]), axis=1)]
+    meets = (np.minimum(*ends) < box[1]) & (np.maximum(*ends) > box[0])
+    return ends[:, meets[:, 0] & meets[:, 1] & meets[:, 2]]
 
 
 def _edges(obj: ArticulatedObject, link: str, T_world_link: Floats) -> Floats:
