@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from instances import hinged_box
+from ppd_data import shard
 from python_process import ended
 
 import articugen as ag
@@ -68,11 +70,8 @@ def test_version_and_help() -> None:
         done = run(*command, "--help")
         assert done.exit_code == 0
         assert "Usage" in done.output
-
-
-def test_every_command_with_options_shows_examples() -> None:
-    for command in ("generate", "inspect", "verify"):
-        assert f"articugen {command} " in run(command, "--help").output.split("Example")[1]
+        if command and command != ["sources"]:
+            assert f"articugen {command[0]} " in done.output.split("Example")[1]
 
 
 def test_sources_lists_the_procedural_ones_with_the_papers_counts() -> None:
@@ -155,9 +154,7 @@ def test_what_comes_next_can_be_pasted(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert saying.command("sources") == f"{shlex.quote(sys.executable)} -m articugen sources"
 
 
-def test_what_make_calls_speaks_of_make(
-    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_make_calls_speaks_of_make(recipe, tmp_path, monkeypatch):
     monkeypatch.setenv("ARTICUGEN_CALLED_BY", "make")
     monkeypatch.chdir(tmp_path)
     given = ("generate", "-c", "laptop", "-r", recipe, "-j", 0, "-n", 1)
@@ -170,14 +167,13 @@ def test_what_make_calls_speaks_of_make(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
-@pytest.mark.parametrize(
-    "words", [("--help",), ("sources",), ("generate", "--help"), ("export", "--to"), ("discover",)]
-)
-def test_who_stops_reading_ends_a_command_without_a_word(made: Path, words: tuple[str]) -> None:
+@pytest.mark.parametrize("words", [("generate", "--help"), ("export", "--to"), ("discover",)])
+def test_who_stops_reading_ends_a_command_without_a_word(tmp_path: Path, words: tuple[str]) -> None:
     """As `head` does; the status is that of SIGPIPE, as other tools have it."""
     reader, writer = os.pipe()
     os.close(reader)
-    more = [str(made)] if words == ("discover",) else []
+    one_pose = shard(tmp_path / "one.h5", hinged_box([(0.0, 0.0)]))  # says so at once
+    more = [str(one_pose)] if words == ("discover",) else []
     code = "from articugen.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, *words, *more], stdout=writer, stderr=subprocess.PIPE,
@@ -274,9 +270,7 @@ def test_wrong_usage_exits_with_2(arguments) -> None:
     assert run(*arguments).exit_code == 2
 
 
-def test_a_rejected_object_shows_in_the_exit_status(
-    boxes: Path, recipe: Path, tmp_path: Path
-) -> None:
+def test_a_rejected_object_shows_in_the_exit_status(boxes, recipe, tmp_path):
     patient = tmp_path / "patient.yaml"
     patient.write_text(f"extends: {recipe}\nobjects: 3\nmax_rejected_fraction: 0.5\n")
     common = ("generate", "-c", "box", "-s", boxes, "-j", 0)
@@ -336,9 +330,7 @@ main()
 """
 
 
-def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(
-    recipe: Path, made: Path, tmp_path: Path
-) -> None:
+def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(recipe, made, tmp_path):
     command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
     process = subprocess.Popen(
         [sys.executable, "-c", INTERRUPTED, *command],
@@ -376,9 +368,7 @@ Records.close = closed
 
 
 @pytest.mark.parametrize(("first", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_second_ctrl_c_or_sigterm_changes_nothing(
-    recipe: Path, tmp_path: Path, first: str, status: int
-) -> None:
+def test_a_second_ctrl_c_or_sigterm_changes_nothing(recipe, tmp_path, first, status):
     command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
     code = INTERRUPTED.replace("len(begun) == 2", "len(begun) == 1").replace("SIGINT", first)
     done = ended("-c", TWICE + code, *command)
@@ -410,9 +400,7 @@ app.main()
 
 
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(
-    tmp_path: Path, name: str, status: int
-) -> None:
+def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(tmp_path, name, status):
     (tmp_path / "stubborn.py").write_text(STUBBORN.format(signal=name))
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     done = ended("-c", IMPORTING, PYTHONPATH=path)
@@ -420,7 +408,7 @@ def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-@pytest.mark.parametrize("arguments", [["sources"], ["--help"], ["inspect", "SET"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["inspect", "SET"]])
 def test_a_full_standard_output_is_one_sentence(arguments: list[str], made: Path) -> None:
     command = [str(made) if word == "SET" else word for word in arguments]
     with open("/dev/full", "w") as full:
@@ -445,9 +433,7 @@ def test_a_category_is_a_name(name: str, boxes: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_skipped_or_has_failed_shows_once(
-    boxes: Path, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_skipped_or_has_failed_shows_once(boxes, recipe, tmp_path, monkeypatch):
     resolve = articulation.resolve
 
     def resolved(obj, *given, **settings):
