@@ -33,7 +33,8 @@ from articugen.cli import app
 def run(*arguments):
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     assert result.exit_code == 0, (arguments, result.output, result.exception)
-small = ("--objects", 1, "--states", 1, "--set", "views.count=8")
+small = ("--objects", 1, "--states", 1, "--set", "views.count=8", "--set", "views.resolution=64")
+small += ("--set", "sampling.surface_points=1024")
 run("generate", "-c", "laptop", "--jobs", 1, "--out", ".", *small)
 run("inspect", "laptop", "--image", "sheet.png")
 run("inspect", "laptop", "--html", "report.html")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from articugen.core import processes
+from articugen.store.provenance import this_machine
 
 LIBRARIES = ("numpy", "numba", "h5py", "trimesh")
 
@@ -30,8 +31,8 @@ def about(quick: bool, versions: Iterable[Mapping[str, str]] = ()) -> dict[str, 
         "command": " ".join(["python -m", name, *_without_folder(sys.argv[1:])]),
         "commit": _git("describe", "--always", "--dirty", "--abbrev=12"),
         "date": time.strftime("%Y-%m-%d"),
-        "machine": f"{_cpu()}, {processes.default_jobs()} cores, {platform.system()}, "
-        f"Python {platform.python_version()}",
+        "machine": f"{this_machine()['processor']}, {processes.default_jobs()} cores, "
+        f"{platform.system()}, Python {platform.python_version()}",
         "load_before": os.getloadavg()[0],
         "quick": quick,
         "versions": found,
@@ -62,11 +63,3 @@ def _without_folder(arguments: list[str]) -> list[str]:
 def _git(*arguments: str) -> str:
     done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
     return done.stdout.strip() or "unknown"
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    return next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "CPU")

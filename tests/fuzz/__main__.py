@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
+from articugen.store.provenance import this_commit, this_machine
 from tests.fuzz.engine import Findings, Progress, has_atheris
 from tests.fuzz.targets import TARGETS, Target
 
@@ -121,20 +122,9 @@ def _watched(process: "subprocess.Popen[bytes]", progress: Progress) -> str | No
 
 def table(rows: list[Row], engine: str) -> str:
     """In Markdown, with what it was measured on."""
-    processor = next(
-        (
-            line.partition(":")[2].strip()
-            for line in Path("/proc/cpuinfo").read_text().splitlines()
-            if line.startswith("model name")
-        ),
-        platform.machine(),
-    )
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-    python = f"Python {platform.python_version()}"
+    on = (this_machine()["processor"], f"Python {platform.python_version()}", engine)
     lines = [
-        ", ".join([f"{date.today()}", f"commit {commit}", processor, python, engine]),
+        ", ".join([f"{date.today()}", f"commit {this_commit()}", *map(str, on)]),
         "",
         "| target | executions | a second | escapes | seconds |",
         "|---|---:|---:|---:|---:|",
