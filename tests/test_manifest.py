@@ -387,7 +387,8 @@ def test_a_record_removes_nothing_outside_its_folder(tmp_path, name):
         b'{"made": null}', b"9" * 5_000, b"NaN", b'{"rejected": {"reason": "\\ud800"}}',
     ],
 )  # fmt: skip
-def test_a_record_and_a_plan_may_hold_anything(tmp_path, line):
+def test_a_record_and_a_plan_may_hold_anything(tmp_path, line, monkeypatch):
+    monkeypatch.setattr("articugen.core.ledger._PAUSES", (0.0,))
     ledger = Ledger(Folder(tmp_path))
     ledger.record("train/box-0", line)
     with records_in(tmp_path) as records:
