@@ -94,9 +94,7 @@ def test_what_is_stored_is_what_lies_on_a_disk(stored: str, whole: Path, server:
     assert manifest.content_sha256 == Manifest.read(whole).content_sha256
 
 
-def test_it_is_read_where_it_is(
-    stored: str, whole: Path, server: Trouble, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_read_where_it_is(stored, whole, server, monkeypatch):
     there, here = ag.open(stored), ag.open(whole)
     assert there.objects == here.objects
     assert there.splits == here.splits
@@ -211,9 +209,7 @@ def test_two_processes_share_out_the_objects(server: Trouble, whole: Path, tmp_p
 
 
 @pytest.mark.parametrize("share", [None, "0/1"])
-def test_a_shard_that_is_removed_during_the_run_is_told_of_and_made_again(
-    server: Trouble, whole: Path, share: str | None
-) -> None:
+def test_a_shard_that_is_removed_during_the_run_is_told_of_and_made_again(server, whole, share):
     """Once as one made by this run, once as one that was there already."""
     url = f"s3://{BUCKET}/removed-{share}/eyeglasses"
     chosen = Share.of_text(share) if share else None
@@ -250,9 +246,7 @@ def test_nothing_in_a_store_is_replaced(server: Trouble) -> None:
         ("https://127.0.0.1:9/x", "AWS_ENDPOINT_URL", "", False),
     ],
 )
-def test_http_is_spoken_only_where_somebody_asked_for_it(
-    monkeypatch: pytest.MonkeyPatch, url: str, name: str, server_at: str, plain: bool
-) -> None:
+def test_http_is_spoken_only_where_somebody_asked_for_it(monkeypatch, url, name, server_at, plain):
     """`AWS_ENDPOINT_URL` of the environment of other tests does not count."""
     asked: list[dict[str, bool]] = []
     real = obstore.store.from_url
@@ -277,9 +271,7 @@ def test_a_store_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
         ag.open("s3://nowhere/at/all")
 
 
-def test_a_store_that_goes_away_is_no_damage(
-    server: Trouble, stored: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_store_that_goes_away_is_no_damage(server, stored, monkeypatch):
     data = ag.open(stored)
     monkeypatch.setattr(bucket_module.Bucket, "tries", 1)
     monkeypatch.setattr(bucket_module, "RETRIES", 0)

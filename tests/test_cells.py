@@ -17,11 +17,7 @@ from articugen.learning.commands import hints
 from articugen.learning.data import cells
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.cells import LabelledCells, voxel_centres
-from articugen.learning.data.fitness import (
-    apart,
-    check_fixed_part,
-    lying_otherwise,
-)
+from articugen.learning.data.fitness import apart, check_fixed_part, lying_otherwise
 from articugen.learning.data.split import load_split
 from articugen.store.shards import Shard, open_shard
 

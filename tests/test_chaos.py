@@ -41,9 +41,7 @@ def test_the_recipe_of_the_training_that_is_struck_makes_sense(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["generate", "export", "fetch"])
-def test_what_fails_or_is_torn_on_the_disk_costs_nothing(
-    name: str, failures: Callable[[str], Failures]
-) -> None:
+def test_what_fails_or_is_torn_on_the_disk_costs_nothing(name, failures):
     struck = failures(name)
     points = struck.telling()
     for first, mode in enumerate(FAULTS):
@@ -53,9 +51,7 @@ def test_what_fails_or_is_torn_on_the_disk_costs_nothing(
 
 
 @pytest.mark.parametrize("name", ["generate", "export"])
-def test_a_power_cut_finds_no_name_without_its_bytes(
-    name: str, failures: Callable[[str], Failures]
-) -> None:
+def test_a_power_cut_finds_no_name_without_its_bytes(name, failures):
     assert_named_when_whole(failures(name).changes)
 
 
@@ -72,9 +68,7 @@ def assert_named_when_whole(changes: list[tuple[str, ...]]) -> None:
             assert changes[number + 1] == ("fsync", str(Path(to[0]).parent))
 
 
-def test_a_sigterm_keeps_what_was_made_and_no_worker(
-    folder: Path, failures: Callable[[str], Failures]
-) -> None:
+def test_a_sigterm_keeps_what_was_made_and_no_worker(folder, failures):
     command = commands(folder / "inputs", folder / "work", jobs=2)["generate"]
     kills = Kills(command, folder / "work", failures("generate").whole, 3.0)
     row = kills.tried(Strike.TERM, [1.0], lambda _: None)

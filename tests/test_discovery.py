@@ -254,9 +254,7 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
         (["a.npy", "b.npy", "--joints", "screw"], "'screw': revolute, prismatic"),
     ],
 )
-def test_the_command_says_what_is_wrong(
-    files: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_says_what_is_wrong(files, sentence, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cloud = sampled(*BODY, np.random.default_rng(0), 500)
     np.save("a.npy", cloud)

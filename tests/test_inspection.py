@@ -209,9 +209,7 @@ def view_factor(a: float, b: float, c: float) -> float:
 
 
 @pytest.mark.parametrize(("from_wall", "tolerance"), [(0.3, 0.02), (0.1, 0.04), (0.03, 0.15)])
-def test_over_the_floor_of_an_open_box_the_sky_is_its_mouth(
-    from_wall: float, tolerance: float
-) -> None:
+def test_over_the_floor_of_an_open_box_the_sky_is_its_mouth(from_wall, tolerance):
     coarse, fine = open_box(8000, 0), open_box(64000, 1)
     x = np.linspace(-0.2, 0.2, 100)
     at = np.stack([x, np.full(100, from_wall - 0.3), np.full(100, -0.3)], axis=1)

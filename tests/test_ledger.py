@@ -239,9 +239,7 @@ def test_one_of_many_threads_wins(tmp_path: Path) -> None:
     assert len(won) == 1
 
 
-def test_a_file_system_without_links_serves_as_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_without_links_serves_as_well(tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise OSError(errno.EPERM, "Operation not permitted")
 
@@ -365,9 +363,7 @@ def test_what_a_killed_process_was_writing_is_left_over(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["report"]
 
 
-def test_a_place_that_is_emptied_meanwhile_is_written_to(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_place_that_is_emptied_meanwhile_is_written_to(tmp_path, monkeypatch):
     write, struck = place.write_atomically, []
 
     def struck_once(path: Path, data: bytes) -> None:

@@ -75,9 +75,7 @@ def test_a_set_is_as_near_to_itself_as_can_be(sets: tuple[Path, Path]) -> None:
     assert found.pairs[0] == found.pairs[1]
 
 
-def test_the_command_prints_draws_and_refuses(
-    sets: tuple[Path, Path], box: Instance, tmp_path: Path
-) -> None:
+def test_the_command_prints_draws_and_refuses(sets, box, tmp_path):
     picture = tmp_path / "far.png"
     done = invoke("compare", *sets, "--image", picture)
     assert done.exit_code == 0

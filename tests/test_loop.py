@@ -29,13 +29,7 @@ from articugen.learning.ppd.settings import (
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.learning.run_folder import (
-    BEST,
-    LATEST,
-    METRICS,
-    RunFolder,
-    read_checkpoint,
-)
+from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
 
 TINY = PPDRecipe(
     name="tiny",

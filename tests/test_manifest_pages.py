@@ -68,9 +68,7 @@ def head(folder: Path) -> dict[str, Any]:
     return json.loads((folder / MANIFEST_NAME).read_text())
 
 
-def test_pages_and_one_file_say_the_same(
-    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pages_and_one_file_say_the_same(whole, tmp_path, monkeypatch):
     told = Manifest.read(whole)
     listed = head(whole)["pages"]
     assert [page["name"] for page in listed] == pages(whole)
@@ -220,9 +218,7 @@ def of_another_set(folder: Path, other: Path) -> str:
 
 
 @pytest.mark.parametrize("harm", [flipped, lengthened, missing, swapped, of_another_set])
-def test_a_damaged_page_is_found_and_mended(
-    folder: Path, other: Path, harm: Callable[[Path, Path], str]
-) -> None:
+def test_a_damaged_page_is_found_and_mended(folder, other, harm):
     before = Manifest.read(folder)
     name = harm(folder, other)
     with pytest.raises(CorruptShard, match=name) as caught:
@@ -301,9 +297,7 @@ HOSTILE: list[tuple[Callable[[dict[str, Any]], object], str]] = [
 
 
 @pytest.mark.parametrize(("change", "sentence"), HOSTILE)
-def test_a_head_may_say_anything(
-    folder: Path, change: Callable[[dict[str, Any]], object], sentence: str
-) -> None:
+def test_a_head_may_say_anything(folder, change, sentence):
     told = head(folder)
     change(told)
     (folder / MANIFEST_NAME).write_text(json.dumps(told))
@@ -335,9 +329,7 @@ def sealed(folder: Path, number: int, text: str) -> None:
         (lambda text: text.replace("{", '{"a": 1,', 1), "a: Extra inputs"),
     ],
 )
-def test_a_page_may_hold_anything_and_be_listed(
-    folder: Path, edit: Callable[[str], str], sentence: str
-) -> None:
+def test_a_page_may_hold_anything_and_be_listed(folder, edit, sentence):
     text = (folder / pages(folder)[1]).read_text()
     sealed(folder, 1, edit(text))
     with pytest.raises(CorruptShard, match=sentence) as caught:

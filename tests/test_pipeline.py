@@ -167,9 +167,7 @@ def test_another_seed_makes_other_data_of_the_same_objects(whole: Path, tmp_path
 
 
 @pytest.mark.parametrize("jobs", [0, 2])
-def test_an_interrupted_run_goes_on_to_the_same_bytes(
-    whole: Path, tmp_path: Path, jobs: int
-) -> None:
+def test_an_interrupted_run_goes_on_to_the_same_bytes(whole, tmp_path, jobs):
     out = tmp_path / "cut"
     cut = job(out, jobs=jobs)
     code = f"""
@@ -300,9 +298,7 @@ def test_comments_and_new_files_make_no_data_stale(whole: Path, tmp_path: Path) 
     assert counts == ["4", "0"]
 
 
-def test_other_code_that_makes_the_same_goes_on_with_what_is_there(
-    mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_code_that_makes_the_same_goes_on_with_what_is_there(mine, monkeypatch):
     (mine / "train-00001.h5").unlink()
     monkeypatch.setattr(manifest_module, "code_version", lambda: "9.9+other")
     manifest, reports = made(job(mine))
@@ -315,9 +311,7 @@ def test_other_code_that_makes_the_same_goes_on_with_what_is_there(
     ("table", "name", "told"),
     [("STAGES", "fusion", "fusion"), ("MODELS", "eyeglasses", "eyeglasses models")],
 )
-def test_a_raised_version_makes_data_again(
-    whole: Path, monkeypatch: pytest.MonkeyPatch, table: str, name: str, told: str
-) -> None:
+def test_a_raised_version_makes_data_again(whole, monkeypatch, table, name, told):
     now = getattr(content, table)[name]
     monkeypatch.setitem(getattr(content, table), name, now + 1)
     why = f"the code makes other data: it was {told} {now}, is {told} {now + 1}"
@@ -325,9 +319,7 @@ def test_a_raised_version_makes_data_again(
     assert why in (planned(job(whole)).conflict or "")
 
 
-def test_versions_of_bundled_models_decide_no_other_models(
-    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_versions_of_bundled_models_decide_no_other_models(boxes, tmp_path, monkeypatch):
     before = [task.key for task in planned(job(tmp_path, source=str(boxes), category="box")).tasks]
     monkeypatch.setitem(content.MODELS, "box", 2)
     after = [task.key for task in planned(job(tmp_path, source=str(boxes), category="box")).tasks]
@@ -359,9 +351,7 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     assert verify(ours.out).findings == ()
 
 
-def test_planning_makes_nothing_of_meshes(
-    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_planning_makes_nothing_of_meshes(boxes, tmp_path, monkeypatch):
     """They are digested, as sound models are when they are made; unsound ones are tried once."""
     mesh = '<mesh filename="lid.obj"/>'
     for k in range(4):
@@ -435,9 +425,7 @@ def test_too_many_rejects_fail_the_run_and_keep_what_was_made(boxes: Path, tmp_p
     assert contents(ours.out) == kept
 
 
-def test_objects_without_area_are_rejected_and_such_parts_are_empty(
-    boxes: Path, tmp_path: Path
-) -> None:
+def test_objects_without_area_are_rejected_and_such_parts_are_empty(boxes, tmp_path):
     speck = BOX.replace('size="1 1 0.1"', 'size="1e-9 1e-9 1e-9"')
     (boxes / "box0.urdf").write_text(speck.format(size=1))
     (boxes / "box1.urdf").write_text(speck.replace("{size} 1 0.2", "1e-9 1e-9 1e-9"))
@@ -460,9 +448,7 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(whole, tmp_path):
     (tmp_path / "out").write_text("in the way")
     with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
         made(job(tmp_path / "out"))
@@ -472,9 +458,7 @@ def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(
     assert contents(tmp_path / "out") == contents(whole)
 
 
-def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(whole, tmp_path):
     def remount(how: str) -> None:
         subprocess.run(["mount", "-o", f"remount,{how}", str(disk)], check=True)
 
@@ -507,9 +491,7 @@ def test_an_object_that_is_not_of_the_category_is_skipped_without_blame(
     assert planned(ours).tasks == ()
 
 
-def test_nothing_left_at_all_is_one_error(
-    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_left_at_all_is_one_error(boxes, tmp_path, monkeypatch):
     monkeypatch.setattr(articulation, "resolve", lambda *_, **__: nothing_to_articulate())
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     for _ in range(2):

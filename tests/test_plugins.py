@@ -121,9 +121,7 @@ def test_a_package_adds_a_layout(install: Install, tmp_path: Path) -> None:
     assert single.sha256 != obj.sha256, "the name of the file counts"
 
 
-def test_it_is_as_good_as_ours_in_folders_and_in_source_files(
-    install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_as_good_as_ours_in_folders_and_in_source_files(install, tmp_path, monkeypatch):
     install("chest-maker", "chests", CHESTS, chest="chests")
     folder = chests(tmp_path / "mixed", "box1", "plain")
     chests(folder / "trunk", "one", "two")
@@ -154,9 +152,7 @@ def test_a_run_is_planned_with_it(install: Install, tmp_path: Path) -> None:
     assert "2 objects" in " ".join(shown.split())
 
 
-def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(
-    install: Install, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(install, tmp_path, caplog):
     install("broken-one", "raises", "raise RuntimeError('odd\\nthing')", sad="raises")
     install("halfway", "half", "detect = find = print", half="half")
     install("gone", "nothing", "", away="nowhere_at_all")
@@ -185,9 +181,7 @@ def test_packages_that_cannot_be_used_are_named_once_and_break_no_other(
         read_source_file(path)
 
 
-def test_of_two_packages_with_one_name_the_first_counts(
-    install: Install, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_of_two_packages_with_one_name_the_first_counts(install, caplog):
     for package in ("b-chests", "a-chests"):
         install(package, package[0], CHESTS, chest=package[0])
     with caplog.at_level(logging.WARNING, "articugen"):

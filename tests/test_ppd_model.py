@@ -18,10 +18,7 @@ from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z
 from articugen.learning.ppd.network import PPD, rest_states
 from articugen.learning.ppd.settings import ModelSettings
-from articugen.learning.ppd.shape import (
-    PLAIN_SIZE,
-    Quantizer,
-)
+from articugen.learning.ppd.shape import PLAIN_SIZE, Quantizer
 
 PAPER = ModelSettings()
 

@@ -16,17 +16,9 @@ from articugen.learning.ppd import learner as learner_module
 from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.network import rest_states
-from articugen.learning.ppd.settings import (
-    ModelSettings,
-    PPDRecipe,
-    VarySettings,
-)
+from articugen.learning.ppd.settings import ModelSettings, PPDRecipe, VarySettings
 from articugen.learning.ppd.warm.targets import targets
-from articugen.learning.ppd.warm.variation import (
-    CHANCES,
-    Variation,
-    is_mirrored,
-)
+from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
 
 MODEL = ModelSettings(part_boxes=True)
 R = len(MODEL.revolute)

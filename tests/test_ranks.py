@@ -198,9 +198,7 @@ def test_a_plan_of_another_version_is_told_of(tmp_path: Path) -> None:
         merge(tmp_path)
 
 
-def test_no_more_objects_than_a_manifest_can_tell_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_objects_than_a_manifest_can_tell_of(tmp_path, monkeypatch):
     """Said before the first is made, not after the last."""
     monkeypatch.setattr(plan, "MOST_OBJECTS", 3)
     with pytest.raises(InvalidRecipe, match="4 objects of eyeglasses: a data set has at most 3"):

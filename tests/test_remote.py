@@ -43,9 +43,7 @@ def opened(url: str, server: Site, monkeypatch: pytest.MonkeyPatch) -> ag.DataSe
 
 
 @pytest.mark.parametrize("kind", ["http", "hf", "memory", "file"])
-def test_it_is_read_where_it_is(
-    kind: str, web: Site, whole: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_read_where_it_is(kind, web, whole, monkeypatch):
     monkeypatch.setattr(remote, "BLOCK", 1024)
     if kind == "memory":
         fsspec.filesystem("memory").put(f"{whole}/", "/shelf/eyeglasses/", recursive=True)
@@ -69,9 +67,7 @@ def test_it_is_read_where_it_is(
 
 
 @pytest.mark.parametrize("kind", ["http", "hf"])
-def test_what_a_server_refuses(
-    kind: str, web: Site, whole: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_server_refuses(kind, web, whole, monkeypatch):
     url = f"{web.url if kind == 'http' else 'hf://datasets/some/set'}/eyeglasses"
     (shard,) = whole.glob("*.h5")
     web.status = 403

@@ -22,19 +22,9 @@ from articugen.evaluation.results import read_evaluation
 from articugen.learning import tensors
 from articugen.learning.commands import newest
 from articugen.learning.loop import Training, train
-from articugen.learning.ppd.settings import (
-    PPDRecipe,
-    PPDSchedule,
-    PPDStage,
-)
+from articugen.learning.ppd.settings import PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.recipe import DataSettings
-from articugen.learning.run_folder import (
-    FORMAT,
-    LATEST,
-    METRICS,
-    RunFolder,
-    read_checkpoint,
-)
+from articugen.learning.run_folder import FORMAT, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.learning.tensors import image_of, read_tensors, sealed
 
 BOXES = {"train": 2, "test": 1, "states": 1}

@@ -163,9 +163,7 @@ def opened(chromium: Any, page: Path, screen: dict[str, int], **context: Any) ->
 
 
 @pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
-def test_pages_open_offline_and_none_is_wider_than_the_screen(
-    chromium: Any, site: Path, screen: dict[str, int]
-) -> None:
+def test_pages_open_offline_and_none_is_wider_than_the_screen(chromium, site, screen):
     for name in LOOKED_AT:
         tab, faults = opened(chromium, site / name, screen)
         assert tab.locator("article h1").count() == 1, name

@@ -147,9 +147,7 @@ def test_it_is_followed_again_and_interrupted(cluster: dict[str, Daemon], tmp_pa
     assert data.manifest == manifest
 
 
-def test_what_makes_nothing_is_not_submitted_for_ever(
-    cluster: dict[str, Daemon], tmp_path: Path
-) -> None:
+def test_what_makes_nothing_is_not_submitted_for_ever(cluster, tmp_path):
     with pytest.raises(ArticugenError, match=r"sbatch refuses the array \(.*partition name"):
         finished(job(tmp_path, recipe=MANY, scheduler="slurm://nowhere"))
     stuck = on_slurm(tmp_path, "tasks=2&cpus=1&input=/nowhere/at/all")

@@ -136,9 +136,7 @@ def test_objects_of_a_folder_come_again_in_other_states(tmp_path: Path) -> None:
     assert (rows[1].stored("joint_state") != rows[1 + 2 * EACH].stored("joint_state")).any()
 
 
-def test_a_folder_of_which_nothing_can_be_made_ends_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_of_which_nothing_can_be_made_ends_in_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "MOST_REJECTED", 3)
     (tmp_path / "broken.urdf").write_text("<robot")
     with warnings.catch_warnings(record=True) as warned:

@@ -28,9 +28,7 @@ def comb(gap: float, thickness: float) -> list[trimesh.Trimesh]:
 
 
 @pytest.mark.parametrize(("gap", "thickness"), [(0.05, THIN), (THIN, 0.05)], ids=["bars", "slits"])
-def test_bars_and_slits_thinner_than_a_pixel_are_as_exact_rays_have_them(
-    gap: float, thickness: float
-) -> None:
+def test_bars_and_slits_thinner_than_a_pixel_are_as_exact_rays_have_them(gap, thickness):
     pieces = [rotated(piece, 0.5, (1, 2, 3)) for piece in comb(gap, thickness)]
     part = solid_part(labelled(trimesh.util.concatenate(pieces)), RECIPE)
     field = own_solid(part, RECIPE).field

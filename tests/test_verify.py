@@ -386,16 +386,7 @@ def _remade(folder: Path, outcome: Outcome) -> None:
 
 @pytest.mark.parametrize(
     "attribute",
-    [
-        "category",
-        "source",
-        "licence",
-        "split",
-        "seed",
-        "recipe",
-        "recipe_sha256",
-        "generator",
-    ],
+    ["category", "source", "licence", "split", "seed", "recipe", "recipe_sha256", "generator"],
 )
 def test_shard_of_another_data_set(folder, attribute):
     other = {"seed": 5, "split": "another"}.get(attribute, "{}")

@@ -117,9 +117,7 @@ def test_part_meshes_enclose_the_parts(viser: Any, shown: Shown) -> None:
     assert len(body.faces) > len(latch.faces) > 0
 
 
-def test_without_its_source_the_nearest_state_is_shown(
-    viser: Any, folder: Path, tmp_path: Path
-) -> None:
+def test_without_its_source_the_nearest_state_is_shown(viser, folder, tmp_path):
     moved = Path(shutil.copytree(folder / "data" / "cabinet", tmp_path / "cabinet"))
     (path,) = moved.glob("*.h5")
     (moved / "manifest.json").unlink()
@@ -136,9 +134,7 @@ def test_without_its_source_the_nearest_state_is_shown(
     assert [len(mesh.faces) > 0 for mesh in alone.part_meshes] == in_grid
 
 
-def test_where_it_would_stick_out_of_the_unit_frame_the_nearest_state_is_shown(
-    tmp_path: Path,
-) -> None:
+def test_where_it_would_stick_out_of_the_unit_frame_the_nearest_state_is_shown(tmp_path):
     (tmp_path / "cabinet.urdf").write_text(CABINET)
     few = {**TINY, "articulation": {**TINY.get("articulation", {}), "states": 0}}
     ag.generate("cabinet", tmp_path, tmp_path / "data", few, jobs=0)

@@ -8,7 +8,6 @@ import io
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -198,9 +197,7 @@ def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:
     assert window.faults == []
 
 
-def test_hostile_names_are_text_and_many_objects_no_trouble(
-    viser: Any, chromium: Any, tmp_path: Path
-) -> None:
+def test_hostile_names_are_text_and_many_objects_no_trouble(viser, chromium, tmp_path):
     few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
     recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})
     one = named(hinged_box(STATES, recipe=recipe)[0])

@@ -128,9 +128,7 @@ def get_ready(hung: Path) -> None:
         time.sleep(600)
 
 
-def test_a_worker_that_is_never_ready_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_that_is_never_ready_is_lost(tmp_path, monkeypatch):
     """Off the clock of its task, whose limit it does not exceed."""
     monkeypatch.setattr(module, "LONGEST_START", 6.0)
     ready, notices = partial(get_ready, tmp_path / "hung"), list[str]()
