@@ -18,7 +18,6 @@ import articugen as ag
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
-from articugen.export.formats import FORMATS, format_named
 from articugen.export.items import file_name
 from articugen.export.parts import unique
 from articugen.export.target import REPORT_NAME
@@ -29,13 +28,6 @@ BOXES = {"train": 2, "test": 1}
 def files_in(folder: Path) -> dict[str, bytes]:
     paths = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-
-def test_all_formats_say_what_they_are_and_the_page_has_them() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "exports.md").read_text(encoding="utf-8")
-    for name in FORMATS:
-        assert format_named(name).what
-        assert f"`{name}`" in page
 
 
 def test_an_export_is_whole_and_says_what_it_is(boxes, tmp_path):

@@ -86,6 +86,7 @@ def test_every_format_has_its_page_and_the_overview_and_the_site_link_it() -> No
     site = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
     readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
     for name in FORMATS:
+        assert format_named(name).what
         assert page(name).startswith(f"# {name}: ")
         assert f"--to {name} --out {name}/laptop" in page(name)
         assert f"[`{name}`](exports/{name}.md)" in overview
@@ -100,7 +101,7 @@ def test_no_split_leads_out_of_the_folder(name: str, split: str, root: Path, tmp
     that is written to holds all the same."""
     split = f"{tmp_path}/absolute" if split == "absolute" else split
     data = ag.open(root / "data" / "laptop")
-    data = data.of(data.objects[0])
+    data = data.of(data.objects[0])[:2]
     data._shelf.entries = tuple(replace(entry, split=split) for entry in data._shelf.entries)
     out = tmp_path / "a" / "b" / "out"
     options = options_for(name)

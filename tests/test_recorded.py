@@ -14,13 +14,7 @@ from scipy.spatial import cKDTree
 
 from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import (
-    apply,
-    invert_rigid,
-    look_along,
-    rotation_about,
-    transform,
-)
+from articugen.core.geometry import apply, invert_rigid, look_along, rotation_about, transform
 from articugen.core.recipe import load_recipe
 from articugen.core.records import JointKind, JointState, LabelledMesh, Views
 from articugen.evaluation.reconstruction import PartJoints, labelled_points
@@ -266,7 +260,7 @@ def test_a_recording_is_read_as_it_was_made(recorded):
         np.testing.assert_allclose(frame.points, points, atol=6e-4)
         assert np.mean(frame.part == true) > (0.999 if recorded.noisy else 0.9999)
         for part in range(2):
-            local = apply(invert_rigid(frame.T_camera_part[part]), points[true == part])
+            local = apply(invert_rigid(frame.T_camera_part[part]), points[true == part][::5])
             far = cKDTree(recorded.recording.surfaces[part]).query(local)[0]
             assert np.mean(far < 0.015) > 0.98
 
