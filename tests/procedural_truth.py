@@ -1,17 +1,18 @@
 """Procedural objects in tests: where their links stand, how they are closed, whether they meet."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.geometry import apply
-from articugen.core.records import ArticulatedObject, Floats, JointState
+from articugen.core.records import ArticulatedObject, Floats, JointState, Mesh
 from articugen.instance.articulation import forward_kinematics
-from articugen.procedural import write_object
+from articugen.procedural import build_model
 from articugen.procedural.kit.model import Model
 from articugen.procedural.kit.solids import Solid
-from articugen.procedural.kit.writer import TRUTH_NAME
+from articugen.procedural.kit.writer import TRUTH_NAME, URDF_NAME, write_model
 from articugen.procedural.truth import Truth, read_truth
 from articugen.sources.urdf import load_urdf
 
@@ -26,13 +27,17 @@ def object_id(category: str, index: int) -> str:
     return f"{category}_{index:04d}"
 
 
+model_of = lru_cache(8)(build_model)
+
+
 def written(
     category: str, object_id: str, folder: Path, *, messy: int = 0, varied: bool = False
 ) -> tuple[ArticulatedObject, Truth]:
     """An object written to `folder`, read back, and its truth."""
-    path = write_object(category, object_id, folder, messy=messy, varied=varied)
+    about = {"object_id": object_id, "category": category}
+    write_model(model_of(category, object_id, varied=varied), folder, messy=messy, **about)
     truth = read_truth((folder / TRUTH_NAME).read_bytes())
-    return load_urdf(path, object_id=object_id, category=category), truth
+    return load_urdf(folder / URDF_NAME, **about), truth
 
 
 def link_frames(obj: ArticulatedObject, q: Floats) -> dict[str, Floats]:
@@ -109,10 +114,15 @@ def _within(ends: Floats, box: Floats) -> Floats:
 def _edges(obj: ArticulatedObject, link: str, T_world_link: Floats) -> Floats:
     """(2, E, 3) both ends of each edge of a link's mesh, in the world."""
     mesh = obj.links[obj.link_index[link]].mesh
+    return apply(T_world_link, mesh.vertices)[_ends(mesh)]
+
+
+@lru_cache(64)
+def _ends(mesh: Mesh) -> NDArray[np.int64]:
+    """(2, E) the vertices at both ends of each edge."""
     a, b = mesh.faces.ravel().astype(np.int64), np.roll(mesh.faces, -1, axis=1).ravel()
-    count = len(mesh.vertices)
-    once = np.unique(np.minimum(a, b) * count + np.maximum(a, b))
-    return apply(T_world_link, mesh.vertices)[np.stack([once // count, once % count])]
+    once = np.unique(np.minimum(a, b) * len(mesh.vertices) + np.maximum(a, b))
+    return np.stack(np.divmod(once, len(mesh.vertices)))
 
 
 def _depth_along(ends: Floats, planes: Floats, clearance: float) -> float:

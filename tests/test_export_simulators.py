@@ -352,11 +352,12 @@ def test_meshes_come_from_the_models(laptops, tmp_path):
             assert mesh.is_watertight
             T = robot.get_transform(part.name)
             inside[len(inside)] = trimesh.Trimesh(apply(T, mesh.vertices), mesh.faces)
-        points = row.to_metres(row.near.points)
+        points = row.to_metres(row.near.points[::4])
         label = np.zeros(len(points), np.uint8)
         for part in (*range(1, len(inside)), 0):
             label[inside[part].contains(points) & (label == 0)] = part + 1
-        truth = np.where(is_material(row.near.label), row.near.label, 0)
+        near = row.near.label[::4]
+        truth = np.where(is_material(near), near, 0)
         assert (label == truth).mean() > 0.995
     with pytest.raises(ag.ArticugenError, match="holds an export of other data"):
         ag.export(laptops, "urdf", tmp_path / "urdf", resolution=64)

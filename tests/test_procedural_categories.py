@@ -20,7 +20,7 @@ from articugen.procedural.kit.model import Model, ModelLink
 from articugen.sources import readers
 from articugen.sources.source import open_source
 from tests.benchmarks import objects
-from tests.procedural_truth import assert_sound, crossings, object_id, written
+from tests.procedural_truth import assert_sound, crossings, model_of, object_id, written
 from tests.test_procedural_laptop import OF_ALL_KINDS
 
 SAMPLE = [(c, object_id(c, k)) for c in CATEGORIES for k in (1, 2, 5, 10, 17)]
@@ -60,7 +60,7 @@ def test_no_part_lies_in_another(category: str, name: str, tmp_path: Path) -> No
 
 def assert_parts_keep_clear(category: str, name: str, folder: Path) -> ArticulatedObject:
     """That no link of an object is in another in any state; the object, as its recipe has it."""
-    assert_sound(build_model(category, name))
+    assert_sound(model_of(category, name, varied=False))
     obj, truth = written(category, name, folder / name)
     obj = resolve(obj, load_recipe(None, category).articulation)
     rng = generator(0, name, "crossings")

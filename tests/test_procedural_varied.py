@@ -16,7 +16,14 @@ from articugen.procedural import build_model, drawer
 from articugen.procedural.kit.model import Model
 from articugen.sources import readers
 from articugen.sources.source import open_source
-from tests.procedural_truth import assert_sound, crossings, object_id, random_state, written
+from tests.procedural_truth import (
+    assert_sound,
+    crossings,
+    model_of,
+    object_id,
+    random_state,
+    written,
+)
 
 DRAWERS = [object_id("drawer", k) for k in range(60)]
 SOURCE = "procedural_varied"
@@ -96,7 +103,7 @@ def test_no_temple_meets_anything_where_hinges_stand_upright(tmp_path: Path) -> 
 def test_others_keep_clear_over_their_ranges(category: str, tmp_path: Path) -> None:
     for k in range(12):
         name = object_id(category, k)
-        assert_sound(build_model(category, name, varied=True))
+        assert_sound(model_of(category, name, varied=True))
         obj, truth = written(category, name, tmp_path / name, varied=True)
         rng = generator(0, name, "varied")
         locked = np.array([joint.name.startswith("rack") for joint in obj.moving_joints])
