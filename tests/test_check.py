@@ -244,17 +244,7 @@ def test_folders_hold_models_or_meshes_and_what_is_hostile_gets_a_line(tmp_path)
         ag.check(tmp_path / "none")
 
 
-@pytest.mark.parametrize(("name", "status"), [("good", 0), ("bad", 3), ("broken", 1)])
-def test_the_exit_status_is_the_verdict(tmp_path, name, status):
-    mesh = {"good": CUBE, "bad": two_sided(CUBE), "broken": CUBE}[name]
-    mesh.export(tmp_path / "mesh.ply")
-    if name == "broken":
-        (tmp_path / "mesh.ply").write_text("ply")
-    done = run("check", tmp_path / "mesh.ply", "--jobs", 1)
-    assert done.exit_code == status, done.output
-
-
-def test_the_command_writes_numbers_and_a_page(tmp_path):
+def test_the_command_writes_numbers_and_a_page_and_its_exit_status_is_the_verdict(tmp_path):
     models = tmp_path / "models"
     models.mkdir()
     CUBE.export(models / "<i>.ply")
@@ -272,6 +262,9 @@ def test_the_command_writes_numbers_and_a_page(tmp_path):
     assert "data:image/webp" in text
     assert "<i>" not in text
     assert FINDINGS["two-sided"] in text
+    (models / "b.ply").write_text("ply")
+    for path, status in ((models / "<i>.ply", 0), (models / "b.ply", 1)):
+        assert run("check", path, "--jobs", 1).exit_code == status
     refused = run("check", models, "--html", tmp_path / "checks.txt")
     assert refused.exit_code == 1
     assert not (tmp_path / "checks.txt").exists()
