@@ -9,15 +9,19 @@ from hypothesis import strategies as st
 
 from articugen.core.geometry import apply, bounds, rotation_about, transform
 from articugen.core.recipe import Fusion, load_recipe
-from articugen.fusion.reachable import flood, walls
+from articugen.fusion.field import OwnSolid, flooded, fuse, own_solid
+from articugen.fusion.reachable import DRY, SOLID, flood, walls
+from articugen.fusion.solidify import closed_piece
+from articugen.fusion.winding import closed_pieces
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.bvh import tree_of
 from articugen.procedural.truth import Truth
+from articugen.rendering.rasterizer import render
 from tests.benchmarks.cases import Scene
 from tests.benchmarks.open_space import INSIDE, OUTSIDE, UNDECIDED, open_space
 from tests.procedural_truth import link_frames, written
-from tests.shapes import Convex, box, field_of, iou, labelled, rotated
+from tests.shapes import Convex, box, field_of, iou, labelled, rotated, views_of
 
 OPENING = 1 / 48
 RULE = Fusion(rule="reachable", opening=OPENING)
@@ -63,6 +67,24 @@ def test_what_is_seen_stays_outside_and_solids_stay_inside():
     assert np.array_equal(
         field_of(solid, settings=RULE).is_free(points), field_of(solid).is_free(points)
     )
+
+
+def test_voxels_deep_in_closed_pieces_are_known_to_be_solid():
+    """A shut cupboard on a thick foot: its dark cavity is no solid, and no label changes."""
+    meshes = [*cupboard(0.01)[0], box((0.5, 0.3, 0.1), (0, 0, -0.3))]
+    mesh = labelled(*meshes)
+    field = flooded(fuse(render(mesh, views_of(mesh)), mesh, RULE), mesh)
+    tree = tree_of(mesh.vertices[mesh.faces])
+    pieces = closed_pieces(mesh, closed_piece(mesh), tree)
+    solid = own_solid(field, bounds(mesh.vertices), pieces)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3))
+    state = solid.field.flood.around(points)
+    assert Convex.of(*meshes).inside(points)[state == SOLID].all()
+    foot = Convex.of(meshes[-1]).inside(points)
+    assert (state[foot] == SOLID).mean() > 0.5
+    assert (state == DRY).any()  # the cavity
+    plain = OwnSolid(field, solid.box, pieces)
+    np.testing.assert_array_equal(solid.holds(points), plain.holds(points))
 
 
 def test_value_and_occupancy_agree():

@@ -31,7 +31,7 @@ from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
 from articugen.core.recipe import Fusion
 from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
 from articugen.fusion import kernels
-from articugen.fusion.reachable import Flood, flood, walls
+from articugen.fusion.reachable import DRY, SOLID, WET, Flood, flood, walls
 from articugen.fusion.thin import NOTHING, ThinVoxels
 from articugen.fusion.winding import ClosedPieces, surely_inside
 from articugen.meshes.bvh import Bvh, tree_of, triangle_table
@@ -162,14 +162,14 @@ class OwnSolid:
         """
         if self.closed is None:
             return ~self.field.is_free(points)
-        left = np.arange(len(points))
+        inside, left = np.zeros(len(points), np.bool_), np.arange(len(points))
         if self.field.flood is not None:
-            left = np.flatnonzero(~self.field.flood.fills(points))
+            state = self.field.flood.around(points)
+            inside, left = state == SOLID, np.flatnonzero(state < WET)
         if glance:
             left = left[~self.field.is_seen_free(points, left, views=GLANCES)]
         sure = surely_inside(points[left], self.closed)
         rest = left[~sure]
-        inside = np.zeros(len(points), np.bool_)
         inside[left[sure]] = True
         inside[rest] = ~self.field.is_free(points, rest)
         return inside
@@ -199,8 +199,8 @@ class PosedSolids:
         """Return those of `which`, indices into `points` (n, 3), that the part's own solid
         holds."""
         solid, to_canonical = self.own[part], invert_rigid(self.part_motion[part])
-        near = kernels.in_box(points, which, to_canonical, solid.box)
-        return near[solid.holds(apply(to_canonical, points[near]), glance=glance)]
+        near, there = kernels.in_box(points, which, to_canonical, solid.box)
+        return near[solid.holds(there, glance=glance)]
 
     def labels(self, points: NDArray[np.floating]) -> Bytes:
         """Return (n,) k + 1 in the material of part k, else FREE, for `points` (n, 3).
@@ -300,6 +300,18 @@ def fuse(
     table = triangle_table(corners)
     field = FusedField(maps, table, bvh, part_motion, settings, None, thin)
     return flooded(field, mesh) if settings.rule == "reachable" else field
+
+
+def own_solid(field: FusedField, box: Floats, closed: ClosedPieces | None) -> OwnSolid:
+    """Return it with the voxels marked in which nothing need be asked: no face touches them, and
+    closed pieces wind around their centres."""
+    if field.flood is not None and closed is not None:
+        state = field.flood.state.copy()
+        dry = np.argwhere(state == DRY)
+        solid = dry[surely_inside((dry + 0.5) / len(state) - 0.5, closed)]
+        state[tuple(solid.T)] = SOLID
+        field = replace(field, flood=replace(field.flood, state=state))
+    return OwnSolid(field, box, closed)
 
 
 def flooded(field: FusedField, mesh: LabelledMesh) -> FusedField:

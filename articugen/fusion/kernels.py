@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.core.jit import helper, inlined, kernel
+from articugen.core.jit import dot, helper, inlined, kernel, vector
 from articugen.meshes.bvh import behind, in_front, line_meets, meets
 
 UNSEEN = np.float32(1e9)  # signed distance where a view sees nothing behind the point
@@ -166,20 +166,20 @@ def _voxel(x, n, first):
 @kernel
 def in_box(points, which, T, box):
     """Return those of `which`, indices into `points` (n, 3), that T (4, 4) takes into the box (2,
-    3)."""
-    hits = np.empty(which.shape[0], np.int64)
-    count = 0
+    3), and where it takes them (m, 3)."""
+    a, b, c, d = vector(T, 0), vector(T, 1), vector(T, 2), (T[0, 3], T[1, 3], T[2, 3])
+    low, high = vector(box, 0), vector(box, 1)
+    hits, moved = np.empty(which.shape[0], np.int64), np.empty((which.shape[0], 3))
+    count = np.uintp(0)
     for n in range(which.shape[0]):
         i = which[n]
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        inside = True
-        for axis in range(3):
-            at = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
-            inside = inside and box[0, axis] < at < box[1, axis]
-        if inside:
-            hits[count] = i
-            count += 1
-    return hits[:count]
+        p = vector(points, i)
+        x, y, z = dot(a, p) + d[0], dot(b, p) + d[1], dot(c, p) + d[2]
+        hits[count] = i
+        moved[count, 0], moved[count, 1], moved[count, 2] = x, y, z
+        inside = (low[0] < x) & (x < high[0]) & (low[1] < y) & (y < high[1])  # without a branch
+        count += np.uintp(inside & (low[2] < z) & (z < high[2]))
+    return hits[:count], moved[:count]
 
 
 @kernel

@@ -16,7 +16,7 @@ from articugen.core.portable import norm
 from articugen.core.recipe import Fusion
 from articugen.core.records import DepthMaps, LabelledMesh
 from articugen.fusion import solidify
-from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, pixel_width
+from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, own_solid, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import ClosedPieces, closed_pieces
 from articugen.meshes.bvh import Bvh, joined, tree_of
@@ -95,7 +95,7 @@ def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
         field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
     alone = flooded(replace(field, thin=thin), part.mesh)
-    return OwnSolid(alone, part.box, part.pieces)
+    return own_solid(alone, part.box, part.pieces)
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
@@ -110,7 +110,7 @@ def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
     )
     judged = part.judged_by or field
     alone = replace(field, flood=flooded(judged, part.mesh).flood)
-    return OwnSolid(alone, part.box, part.pieces)
+    return own_solid(alone, part.box, part.pieces)
 
 
 def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:

@@ -17,7 +17,7 @@ from articugen.core.jit import helper, kernel
 from articugen.core.records import LabelledMesh
 from articugen.meshes.bvh import Bvh, meets
 
-_WALL, _DRY, _WET = 1, 0, 2
+DRY, WALL, WET, SOLID = 0, 1, 2, 3
 
 _ROUNDING = 1e-9
 """In voxels: a face in the very plane between two layers of them must mark at least one."""
@@ -28,7 +28,8 @@ class Flood:
     """Cells that a flood from outside reaches.
 
     Attributes:
-        state: (n, n, n) uint8 over the unit cube: 0 not reached, 1 touched by a face, 2 reached.
+        state: (n, n, n) uint8 over the unit cube: DRY is not reached, WALL touched by a face, WET
+            reached; SOLID is dry and known to lie in closed pieces, see `field.own_solid`.
         bvh, to_part: of the posed mesh, as in `fusion.FusedField`.
     """
 
@@ -39,7 +40,11 @@ class Flood:
     def fills(self, points: NDArray[np.floating]) -> Bools:
         """Return (n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them
         and its centre, so that they are free, whatever the views see."""
-        return _fills(np.ascontiguousarray(points, np.float32), self.state)
+        return self.around(points) == WET
+
+    def around(self, points: NDArray[np.floating]) -> Bytes:
+        """Return (n,) the state of the voxel of each of `points` (n, 3)."""
+        return _around(np.ascontiguousarray(points, np.float32), self.state)
 
     def reaches(self, points: NDArray[np.floating]) -> Bools:
         """Return (n,) which of the unseen `points` (n, 3) the flood gets to."""
@@ -74,9 +79,9 @@ def flood(state: Bytes, mesh: LabelledMesh, bvh: Bvh, part_motion: Floats) -> Fl
     first = np.clip(low.astype(int), 0, len(state) - 1)
     last = np.clip(high.astype(int), 0, len(state) - 1)
     box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
-    flooded = np.full(state.shape, _WET, np.uint8)  # nothing is outside the mesh's box
+    flooded = np.full(state.shape, WET, np.uint8)  # nothing is outside the mesh's box
     a, b, c = state[box].shape
-    padded = np.full((a + 2, b + 2, c + 2), np.uint8(_WALL))  # so that no step leaves the array
+    padded = np.full((a + 2, b + 2, c + 2), np.uint8(WALL))  # so that no step leaves the array
     padded[1:-1, 1:-1, 1:-1] = state[box]
     _fill(padded.reshape(-1), a, b, c)
     flooded[box] = padded[1:-1, 1:-1, 1:-1]
@@ -112,14 +117,14 @@ def mark(state, first, n, corners):
                 for k in range(low_k, end_k):
                     at = x * (i + 0.5) + y * (j + 0.5) + z * (k + 0.5)
                     u, v, w = i - first[0], j - first[1], k - first[2]
-                    if abs(at - offset) > half or state[u, v, w] == _WALL:
+                    if abs(at - offset) > half or state[u, v, w] == WALL:
                         continue
                     if (
                         _shadows_meet(ax, ay, bx, by, cx, cy, z, i, j)
                         and _shadows_meet(ay, az, by, bz, cy, cz, x, j, k)
                         and _shadows_meet(az, ax, bz, bx, cz, cx, y, k, i)
                     ):
-                        state[u, v, w] = _WALL
+                        state[u, v, w] = WALL
 
 
 @helper
@@ -159,30 +164,30 @@ def _fill(flat, a, b, c):
             inner = 1 < i < a and 1 < j < b
             for k in range(1, c + 1, c - 1 if inner and c > 1 else 1):
                 at = i * plane + j * row + k
-                if flat[at] == _DRY:
-                    flat[at] = _WET
+                if flat[at] == DRY:
+                    flat[at] = WET
                     waiting[count] = at
                     count += 1
     while count > 0:
         count -= 1
         at = waiting[count]
         for step in (-plane, -row, -1, 1, row, plane):
-            if flat[at + step] == _DRY:
-                flat[at + step] = _WET
+            if flat[at + step] == DRY:
+                flat[at + step] = WET
                 waiting[count] = at + step
                 count += 1
 
 
 @kernel
-def _fills(points, state):
+def _around(points, state):
     n = state.shape[0]
-    filled = np.empty(points.shape[0], np.bool_)
+    around = np.empty(points.shape[0], np.uint8)
     for index in range(points.shape[0]):
         i = min(max(int((points[index, 0] + 0.5) * n), 0), n - 1)
         j = min(max(int((points[index, 1] + 0.5) * n), 0), n - 1)
         k = min(max(int((points[index, 2] + 0.5) * n), 0), n - 1)
-        filled[index] = state[i, j, k] == _WET
-    return filled
+        around[index] = state[i, j, k]
+    return around
 
 
 @kernel
@@ -195,13 +200,13 @@ def _reaches(points, state, to_part, bvh):
         i = min(max(int((p[0] + 0.5) * n), 0), n - 1)
         j = min(max(int((p[1] + 0.5) * n), 0), n - 1)
         k = min(max(int((p[2] + 0.5) * n), 0), n - 1)
-        if state[i, j, k] == _WET:  # no face is between it and the voxel's centre
+        if state[i, j, k] == WET:  # no face is between it and the voxel's centre
             reached[index] = True
             continue
         for a in range(max(i - 1, 0), min(i + 2, n)):
             for b in range(max(j - 1, 0), min(j + 2, n)):
                 for c in range(max(k - 1, 0), min(k + 2, n)):
-                    if reached[index] or state[a, b, c] != _WET:
+                    if reached[index] or state[a, b, c] != WET:
                         continue
                     way = (
                         np.float32((a + 0.5) / n - 0.5) - p[0],

@@ -79,8 +79,10 @@ def near_points(
     cube; of several sigmas each takes its turn."""
     number = np.arange(count)
     wide = np.atleast_1d(sigma)
-    moved = wide[number % len(wide), None] * rng.normal(size=(count, 3))
-    return np.clip(surface[number % len(surface)] + moved, -0.5, 0.5)
+    points = rng.normal(size=(count, 3))
+    points *= wide[number % len(wide), None]
+    points += surface[number % len(surface)]
+    return np.clip(points, -0.5, 0.5, out=points)
 
 
 def surface_points(
