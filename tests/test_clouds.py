@@ -116,6 +116,10 @@ def npy_of(dtype: str, shape: tuple[int, ...]) -> bytes:
 def test_files_that_are_no_clouds_are_refused(tmp_path):
     whole = written(tmp_path, ".ply", points()).read_bytes()
     np.savez(tmp_path / "other.npz", vertices=points())
+    np.savez(tmp_path / "runs.npz", np.array({"pc": print}, dtype=object))
+    np.savez(tmp_path / "texts.npz", np.array({"pc": np.array(["a"])}, dtype=object))
+    view = {"pc": points(), "detection": np.ones(200), "segmentation": np.ones(200)}
+    np.savez(tmp_path / "skew.npz", np.array(view | {"part": np.ones((2, 15))}, dtype=object))
     np.save(tmp_path / "flat.npy", np.zeros(300))
     np.save(tmp_path / "one.npy", np.zeros((100, 3)))
     np.save(tmp_path / "code.npy", np.array([print]), allow_pickle=True)
@@ -142,6 +146,9 @@ def test_files_that_are_no_clouds_are_refused(tmp_path):
         "fifo.npy": "it is a FIFO, not a regular file",
         "large.npy": "more than the",
         "other.npz": "no array named points, only vertices",
+        "runs.npz": "asks for [a-z]*.print",
+        "texts.npz": "holds U1, no numbers",
+        "skew.npz": "no rotation",
         "flat.npy": r"shape \(300,\), not points \(n, 3\)",
         "code.npy": "broken",
         "cut.ply": "broken",

@@ -29,6 +29,7 @@ from articugen.core.geometry import (
 from articugen.core.records import is_material
 from articugen.export.items import Options
 from articugen.export.parts import PartMeshes, part_boxes
+from articugen.meshes.points import numbers_of_file
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 
@@ -489,6 +490,9 @@ def test_opalign_as_its_loader_reads_it(exported, rows):
             np.testing.assert_array_equal(part, row.partial.part[camera])
             T = row.partial.T_camera_world[camera]
             np.testing.assert_allclose(points, apply(T, row.partial.points[camera]), atol=1e-5)
+            middle = part_boxes(rows.of(row.object_id))[0].mean(axis=0)
+            here = row.partial.points[camera] - middle  # read back in a frame that all views share
+            np.testing.assert_allclose(numbers_of_file(path), here, atol=1e-5)
             for k in range(3):  # each part's points lie in its box
                 own = (points[part == k] - place[k]) @ turn[k]
                 assert (np.abs(own) <= size[k] / 2 + 1e-5).all()

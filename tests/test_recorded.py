@@ -218,7 +218,29 @@ def write_aod(made: Scene, root: Path) -> Path:
     return sequence
 
 
+def write_opalign(made: Scene, root: Path) -> Path:
+    """As the authors' files are: whole images, of which some was detected."""
+    fx, fy, cx, cy = made.intrinsics
+    for frame in range(FRAMES):
+        z = made.depth[frame]
+        v, u = np.mgrid[: z.shape[0], : z.shape[1]]
+        T, seen = made.camera_from_parts(frame), made.part[frame].ravel() + 1
+        joint = [*apply(T[0], np.zeros(3)), *T[0, :3, 1]]
+        view = {
+            "pc": np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1).reshape(-1, 3),
+            "color": np.zeros((z.size, 3), np.uint8),
+            "detection": (z > 0.0).ravel(),
+            "segmentation": seen,
+            "part": np.stack([[*pose[:3, :3].ravel(), *pose[:3, 3], 1, 1, 1] for pose in T]),
+            "joint": np.array([joint]),
+        }
+        (root / "laptop" / f"{frame:04d}" / "input_2").mkdir(parents=True)
+        np.savez(root / "laptop" / f"{frame:04d}" / "input_2" / "00.npz", view)
+    return root / "laptop"
+
+
 LAYOUTS = {
+    "opalign": (write_opalign, (525.0, 525.0, 319.5, 239.5)),
     "rbo": (write_rbo, (525.0, 525.0, 319.5, 239.5)),
     "aod": (write_aod, (540.0, 540.0, 323.65, 479 - 240.81)),
 }
@@ -235,9 +257,9 @@ class Recorded:
         return read_recording(self.folder, 10)
 
 
-@pytest.fixture(scope="module", params=["rbo", "aod", "noisy rbo", "noisy aod"])
+@pytest.fixture(scope="module", params=["rbo", "aod", "opalign", "noisy rbo", "noisy aod"])
 def recorded(request, tmp_path_factory) -> Recorded:
-    name, noisy = request.param[-3:], request.param.startswith("noisy")
+    noisy, name = request.param.startswith("noisy"), request.param.removeprefix("noisy ")
     write, intrinsics = LAYOUTS[name]
     folder = tmp_path_factory.mktemp(name)
     made = scene(folder, 3, intrinsics, noisy=noisy)
@@ -331,12 +353,13 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nx", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]* ", "center:\n", "no pose"),
         ("aod", "mask/*_001.png", "", "", "no picture of depths or parts"),
+        ("opalign", "0001/*/*.npz", "", "", "00.npz: no view of a laptop"),
     ],
 )
 def test_what_is_broken_is_refused_in_a_sentence(layout, name, old, new, reason, tmp_path, plain):
     write, _ = LAYOUTS[layout]
     folder = write(plain, tmp_path)
-    if name.endswith(".png"):
+    if name.endswith((".png", ".npz")):
         next(folder.glob(name)).write_bytes(b"\x89PNG\r\n\x1a\n")
     else:
         broken(folder, name, old, new)

@@ -270,7 +270,9 @@ def predict(
 @offered()
 def watch(
     run: Path = RUN,
-    folder: Path = argument("A sequence of RBO or of the Articulated Object Dataset."),
+    folder: Path = argument(
+        "A sequence of RBO or of the Articulated Object Dataset, or OP-Align's views of an object."
+    ),
     images: int = option(8, "How many of the sequence.", min=2),
     out: Path = option(Path("recorded"), "The folder for picture and numbers."),
 ) -> None:

@@ -14,10 +14,12 @@ import trimesh
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.files import read_regular
+from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import Normalization
 from articugen.core.seeding import generator
 from articugen.meshes.distances import sample
 from articugen.meshes.model_files import claimed_rows
+from articugen.meshes.opalign import view_of
 
 FEWEST_POINTS = 64
 LONGEST_EDGE = 0.9
@@ -162,18 +164,29 @@ def _npy(data: bytes) -> Any:
 
 
 def _npz(data: bytes) -> Any:
-    """Return the array "points" of a zip archive; numpy would unpack whatever it claims to hold."""
+    """Return the array "points", or of a view as OP-Align has it what is detected, in the frame of
+    its first part, which all views of an object share."""
+    name, array = unpacked(data, "points", "arr_0")
+    if name == "points":
+        return _npy(array)
+    view = view_of(array)
+    return apply(invert_rigid(view.T_camera_part[0]), view.points)
+
+
+def unpacked(data: bytes, *names: str) -> tuple[str, bytes]:
+    """Return the first of these names that a zip archive of arrays has, and the array's .npy file;
+    numpy would unpack whatever it claims to hold."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        names = archive.namelist()
-        if "points.npy" not in names:
-            known = ", ".join(name.removesuffix(".npy") for name in names[:5])
-            raise ValueError(f"no array named points, only {known or 'none'}")
-        points = archive.getinfo("points.npy")
-        if points.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        there = [name.removesuffix(".npy") for name in archive.namelist()]
+        name = next((name for name in names if name in there), None)
+        if name is None:
+            raise ValueError(f"no array named {names[0]}, only {', '.join(there[:5]) or 'none'}")
+        array = archive.getinfo(f"{name}.npy")
+        if array.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("packed in an unusual way")
-        if points.file_size > MOST_BYTES:
+        if array.file_size > MOST_BYTES:
             raise ValueError("unpacks to too much")
-        return _npy(archive.read("points.npy"))
+        return name, archive.read(array)
 
 
 _READERS: dict[str, Callable[[bytes], Any]] = {

@@ -205,6 +205,11 @@ def clouds(kind: str) -> Iterable[bytes]:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, points=points, other=points)
         yield buffer.getvalue()
+        view = {"pc": points, "detection": points[:, 0] < 1, "segmentation": np.arange(70) % 3}
+        view |= {"part": np.tile([*np.eye(3).ravel(), 0.1, 0.2, 0.3, 1, 1, 1], (2, 1))}
+        buffer = io.BytesIO()
+        np.savez(buffer, np.array(view, dtype=object))
+        yield buffer.getvalue()
     elif kind == "xyz":
         yield b"# a cloud\n" + b"".join(b"%.3f %.3f %.3f 1\n" % tuple(p) for p in points.tolist())
     else:

@@ -12,7 +12,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import apply, invert_rigid, transform
+from articugen.core.geometry import transform
 from articugen.evaluation.recorded.frames import (
     BACKGROUND,
     Frame,
@@ -20,16 +20,14 @@ from articugen.evaluation.recorded.frames import (
     contents,
     picture,
     seen_by,
+    surfaces_seen,
 )
-from articugen.meshes.points import FEWEST_POINTS
 from articugen.pictures.contact_sheet import evenly
 
 DEPTH = ("depth_filled", "depth_noseg")
 
 _FOCAL, _CX, _CY = 540.0, 323.65, 240.81  # as CAPTRA's authors have it (Weng et al., ICCV 2021)
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-_OUTLIERS = 0.5  # percent of a part's points along each axis, on either side
-_SAMPLES = 4096
 
 
 def read(folder: Path, count: int) -> Recording:
@@ -56,7 +54,7 @@ def read(folder: Path, count: int) -> Recording:
         frames.append(Frame(points[there], part[there], _FLIP @ np.array(poses)))
     if not frames:
         raise InvalidSource(f"{folder}: no image has a pose of every part")
-    return Recording(folder.name, [_surface(frames, p) for p in range(2)], frames)
+    return Recording(folder.name, surfaces_seen(frames), frames)
 
 
 def _pose(path: Path) -> Floats | None:
@@ -71,16 +69,3 @@ def _pose(path: Path) -> Floats | None:
         return transform(R.reshape(3, 3), t.reshape(3))
     except ValueError:
         raise InvalidSource(f"{path}: no pose (rotation: nine numbers, center: three)") from None
-
-
-def _surface(frames: list[Frame], part: int) -> Floats:
-    """Return (n, 3) what the images show of a part, in its own frame, without the points farthest
-    out: where masks and depth disagree at an edge."""
-    points = np.concatenate([
-        apply(invert_rigid(f.T_camera_part[part]), f.points[f.part == part]) for f in frames
-    ])  # fmt: skip
-    if len(points) < FEWEST_POINTS:
-        raise InvalidSource(f"the images show too little of part {part}: hardly a mask of it is 1")
-    low, high = np.percentile(points, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
-    points = points[((points >= low) & (points <= high)).all(1)]
-    return points[:: -(-len(points) // _SAMPLES)]

@@ -26,6 +26,8 @@ OPEN = np.radians(135.0)
 _FEWEST_DEGREES = 5.0  # that the lid turns by in a recording, or its hinge is not known
 _NEAR = 0.015  # metres that a point of a part may be off its surface
 _RING, _FLAT, _MOSTLY = 0.15, 0.008, 0.3  # metres around a part; off a plane; share of the ring
+_OUTLIERS = 0.5  # percent of a part's points along each axis, on either side
+_SAMPLES = 4096
 _MOST_BYTES, _MOST_PIXELS = 1 << 26, 1 << 23
 
 
@@ -144,6 +146,22 @@ def _plane(points: Floats) -> tuple[Floats, float] | None:
     return normal, float(normal @ middle)
 
 
+def surfaces_seen(frames: Sequence[Frame]) -> list[Floats]:
+    """Return (n, 3) what the images show of each part, in its own frame, without the points
+    farthest out: where masks and depth disagree at an edge."""
+    surfaces = []
+    for part in range(2):
+        points = np.concatenate([
+            apply(invert_rigid(f.T_camera_part[part]), f.points[f.part == part]) for f in frames
+        ])  # fmt: skip
+        if len(points) < FEWEST_POINTS:
+            raise InvalidSource(f"the images show too little of part {part}: hardly a pixel is its")
+        low, high = np.percentile(points, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
+        points = points[((points >= low) & (points <= high)).all(1)]
+        surfaces.append(points[:: -(-len(points) // _SAMPLES)])
+    return surfaces
+
+
 def into_unit_frame(recording: Recording) -> list[Posed]:
     """Return the images' points in the unit frame that a data set's laptops are in.
 
@@ -169,7 +187,8 @@ def into_unit_frame(recording: Recording) -> list[Posed]:
     lids = to_hinge @ T_base_lid
     along = np.cross(lids[:, :3, :3] @ _thin(lid), [0.0, 1.0, 0.0])  # in the lid, off the hinge
     along *= np.sign((along * (lids @ middle)[:, :3]).sum(1))[:, None]
-    states = np.arctan2(along[:, 2], -along[:, 0]) % (2.0 * np.pi)
+    quarter = np.pi / 2.0  # a lid that is shut may seem to be a little less open than not at all
+    states = (np.arctan2(along[:, 2], -along[:, 0]) + quarter) % (4.0 * quarter) - quarter
     swept = [
         apply(transform(rotation_about([0.0, 1.0, 0.0], angle - states[0])) @ lids[0], lid)
         for angle in np.linspace(0.0, OPEN, 28)
