@@ -96,7 +96,7 @@ _DETAILS = (
 )
 
 
-_OF_OBJECTS = (*LABELS[:2], POSES[0], SHAPES[0], SHAPES[2])
+_OF_OBJECTS = (*LABELS[:2], POSES[0], SHAPES[0], *POSES[-2:], SHAPES[2])
 """Columns of the table of objects."""
 
 
