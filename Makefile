@@ -43,7 +43,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report view verify train depth evaluate comparison ablation test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report site view verify train depth evaluate comparison ablation test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -75,6 +75,13 @@ ifdef CATEGORY
 	@$(articugen) inspect "$(OUT)/$(CATEGORY)" --html "$(OUT)/$(CATEGORY)/report.html"
 else
 	@echo "Choose one: make report CATEGORY=laptop" >&2; exit 2
+endif
+
+site: $(generator)  ## write pages of all objects of CATEGORY= into a folder for any host
+ifdef CATEGORY
+	@$(articugen) site "$(OUT)/$(CATEGORY)" --out "site/$(CATEGORY)"
+else
+	@echo "Choose one: make site CATEGORY=laptop" >&2; exit 2
 endif
 
 view: $(viewer)  ## look at CATEGORY= in the browser, or at WHAT=model.urdf; Ctrl-C ends it

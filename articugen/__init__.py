@@ -30,6 +30,7 @@ _HOME = {
     "generate": "pipeline.door",
     "load": "instance.maker",
     "open": "inspection.notebook",
+    "site": "inspection.report.site",
     "stream": "pipeline.stream",
     "train": "learning.commands",
     "verify": "",

@@ -6,6 +6,7 @@ from articugen.discovery.objects import discover
 from articugen.export.run import export
 from articugen.inspection.check.door import check
 from articugen.inspection.notebook import DataSet, Row, open
+from articugen.inspection.report.site import site
 from articugen.instance.maker import Made, Maker, Model, load
 from articugen.learning.commands import evaluate, train
 from articugen.pipeline.door import generate
@@ -30,6 +31,7 @@ __all__ = [
     "generate",
     "load",
     "open",
+    "site",
     "stream",
     "train",
     "verify",

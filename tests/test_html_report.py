@@ -304,6 +304,21 @@ def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) ->
     assert faults == []
 
 
+def test_it_opens_a_little_open_in_the_stored_state_that_its_slider_says(
+    chromium: Any, page: Path
+) -> None:
+    tab, _ = opened(chromium, page, PHONE)
+    values = [float(tab.input_value(f"#viewer .joint input >> nth={j}")) for j in (0, 1)]
+    made = hinged_box(STATES)
+    states = [one.joint_state * [np.degrees(1.0), one.scale] for one in made]
+    stored = int(tab.input_value("#viewer .joint input >> nth=2"))
+    np.testing.assert_allclose(values, states[stored - 1], atol=1e-3)
+    assert tab.inner_text("#viewer output >> nth=2") == f"{stored} of {len(states)}"
+    assert stored > 1
+    set_joint(tab, 0, 99.0)
+    assert tab.inner_text("#viewer output >> nth=2") == f"none of {len(states)}"
+
+
 @pytest.mark.parametrize("screen", [LAPTOP, PHONE], ids=["laptop", "phone"])
 def test_nothing_that_moves_is_cut_off(chromium, laptops, tmp_path, screen):
     shards = sorted(laptops.glob("test*.h5"))

@@ -16,6 +16,7 @@ HOMES = {
     "generate": "articugen.pipeline.door",
     "load": "articugen.instance.maker",
     "open": "articugen.store.dataset",
+    "site": "articugen.inspection.report.site",
     "stream": "articugen.pipeline.stream",
     "train": "articugen.learning.commands",
     "verify": "articugen.verify.check",
@@ -38,9 +39,11 @@ _ON = {
         "instance.maker.MadeMesh", "core.records.Joint",
     )),
     "commands": ("What commands do", (
-        "generate", "verify", "check", "export", "discover", "train", "evaluate", "fetch",
+        "generate", "verify", "check", "site", "export", "discover", "train", "evaluate",
+        "fetch",
     ), (
         "inspection.check.model.Checks", "inspection.check.model.Checked",
+        "inspection.report.site.Site",
         "pipeline.options.Options", "export.run.Exported", "export.items.Options",
         "sources.fetch.target.Fetched",
     )),

@@ -29,6 +29,10 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
 PICTURE = 168  # pixels along an edge of a picture on the sheet
 POOLED = 3  # instances whose points make a picture: it is smaller than a sheet's
+ICON = (
+    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg'%3E%3Crect width='16' height='16' "
+    "fill='%23bb5566'/%3E%3C/svg%3E"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +155,7 @@ def document(
         el("meta", name="color-scheme", content="light dark"),
         el("meta", name="generator", content=f"articugen {VERSION}"),
         el("title", title),
+        el("link", rel="icon", href=ICON),  # or a host is asked for one
         el("style", Markup(style)),
     )
     links = [el("li", el("a", heading, href=f"#{name}")) for name, heading, _ in parts]

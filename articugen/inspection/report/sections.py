@@ -219,7 +219,7 @@ def one_object(
     about: ObjectFacts, manifest: Manifest | None, measured: Measured
 ) -> list[tuple[str, str]]:
     """Return what is known of one object, as titles and texts."""
-    lines = [("Instances", f"{len(about.rows)}"), ("Box", _box(about))]
+    lines = [("Instances", f"{len(about.rows)}"), ("Box (model's unit)", _box(about))]
     lines.append(("Occupied", _mean([float(about.occupied.mean())])))
     if measured.instances:
         lines += [(title, f"{measured.total(name):.2%}") for name, title in _MEASURES]

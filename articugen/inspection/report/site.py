@@ -196,9 +196,10 @@ def _page(category: str, about: ObjectFacts, manifest: Manifest | None) -> _Page
         image = el("img", src=source, alt="", width=PICTURE, height=PICTURE, loading="lazy")
     key = printable(f"{about.split}/{about.object_id}")
     side = float(np.nan_to_num(about.box).max())
+    size = f"; longest edge {side:.3g} (model's unit)" if side else ""
     tile = el(
         "a", image, el("b", about.object_id),
-        el("span", about.split, f", {side:.3g}" if side else "", class_="hint"),
+        el("span", about.split, size, class_="hint"),
         href=f"#object={quote(key)}", class_="card tile", data_key=key, data_split=about.split,
         data_size=f"{side:.6g}", data_joints=len(about.joints), data_script=script,
     )  # fmt: skip

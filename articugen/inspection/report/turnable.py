@@ -60,6 +60,9 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     posed = np.concatenate([posed, swept(first)])
     low, high = posed.min(axis=0), posed.max(axis=0)
     middle = (low + high) / 2.0
+    far = np.array([max(joint.lower, joint.upper, key=abs) for joint in chosen.joints])
+    states = np.array([[one.states[n] for one in chosen.joints] for n in range(len(chosen.rows))])
+    nearest = int(np.abs(states / np.where(far, far, 1.0) - AJAR).sum(axis=1).argmin())
     scene = {
         "name": printable(chosen.object_id),
         "split": printable(chosen.split),
@@ -76,12 +79,10 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
             }
             for k, (p, about) in enumerate(zip(parts, chosen.parts, strict=True))
         ],
-        "states": [
-            [_short(joint.states[n]) for joint in chosen.joints] for n in range(len(chosen.rows))
-        ],
+        "states": [list(map(_short, state)) for state in states],
         "joints": [
             {
-                **_slider(joint, j),
+                **_slider(joint, j, nearest),
                 "revolute": joint.kind == JointKind.REVOLUTE,
                 "parent": int(first.joint_parent[j]),
                 "axis": first.joint_axis[j].tolist(),
@@ -95,13 +96,13 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     return Turnable(chosen.object_id, chosen.split, first, scene)
 
 
-def _slider(joint: JointStates, j: int) -> dict[str, Any]:
-    """Return a slider from the canonical pose, or the least state, to the greatest; a little open
-    at first."""
+def _slider(joint: JointStates, j: int, start: int) -> dict[str, Any]:
+    """Return a slider from the canonical pose, or the least state, to the greatest; in the stored
+    state `start` at first."""
     low, high = min(joint.lower, 0.0), max(joint.upper, 0.0)
     text = f"{joint.kind}, {range_text(joint.lower, joint.upper, joint.unit)}"
     return {"name": printable(joint.name) or f"joint {j}", "text": text, "low": _short(low),
-            "high": _short(high), "start": _short(AJAR * max(low, high, key=abs))}  # fmt: skip
+            "high": _short(high), "start": _short(joint.states[start])}  # fmt: skip
 
 
 def _short(number: float) -> float:

@@ -375,10 +375,14 @@ function turn(page, scene, noted = () => {}) {
       const now = Number(sliders[j].value);
       written(sliders[j], scene.joints[j].revolute ? `${now.toFixed(0)}°` : `${Number(now.toPrecision(3))}`);
     });
+    const alike = (state) => state.every((q, j) => Math.abs(q - values[j]) <= 1e-3 * (scene.joints[j].high - scene.joints[j].low));
+    const count = scene.states.length;
+    const at = alike(scene.states[step.value - 1]) ? step.value - 1 : scene.states.findIndex(alike);
+    if (at >= 0) step.value = at + 1;
+    written(step, at < 0 ? `none of ${count}` : `${at + 1} of ${count}`);
     redraw();
   };
   const current = () => sliders.map((slider) => Number(slider.value));
-  const numbered = (k) => ((step.value = k + 1), written(step, `${k + 1} of ${scene.states.length}`));
   const look = (azimuth, elevation, zoom) => {
     camera.azimuth = azimuth;
     camera.elevation = Math.max(-0.5, Math.min(1.5, elevation));
@@ -393,10 +397,7 @@ function turn(page, scene, noted = () => {}) {
     const { all, stored, reset } = controls;
     sliders.forEach((slider) => slider.addEventListener("input", () => put(current())));
     for (const box of [axes, labels]) box.addEventListener("change", redraw);
-    step.addEventListener("input", () => {
-      numbered(step.value - 1);
-      put(scene.states[step.value - 1]);
-    });
+    step.addEventListener("input", () => put(scene.states[step.value - 1]));
     const play = (button, at) => {
       const run = (playing = playing?.button === button ? null : { button });
       for (const one of [all, stored]) one.ariaPressed = String(one === playing?.button);
@@ -414,7 +415,6 @@ function turn(page, scene, noted = () => {}) {
     stored.addEventListener("click", () => play(stored, (seconds) => {
       const count = scene.states.length, at = Math.floor(seconds) % count;
       const share = Math.min(1, 1.6 * (seconds % 1)), next = scene.states[(at + 1) % count];
-      numbered(share < 1 ? at : (at + 1) % count);
       return scene.states[at].map((q, j) => q + (next[j] - q) * share * share * (3 - 2 * share));
     }));
     reset.addEventListener("click", () => {
@@ -456,7 +456,6 @@ function turn(page, scene, noted = () => {}) {
       keys[event.key]();
     });
     new ResizeObserver(redraw).observe(canvas);
-    numbered(0);
     put(current());
   }
 
