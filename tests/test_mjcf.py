@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import JointKind
+from articugen.instance import articulation
 from articugen.sources import xml_check
 from articugen.sources.mjcf.reader import detect
 from articugen.sources.readers import digest
@@ -220,11 +221,40 @@ def test_what_is_seen_goes_before_what_collides(tmp_path, geoms, shown):
 def test_what_is_left_out_is_noted(tmp_path):
     body = HINGED.replace("<joint", '<freejoint/></body><body><geom size="1"/><joint')
     body = body.replace("<freejoint/>", '<freejoint/><geom size="1"/>')
-    obj = load_path(model(tmp_path, body, "<equality/><tendon/>"))
+    obj = load_path(model(tmp_path, body, "<equality><weld/></equality><tendon/>"))
     assert obj.notes == (
         "door: moves freely, taken as fixed where it stands",
-        "not read, left out: equality, tendon",
+        "not read, left out: a <weld> of <equality>, tendon",
     )
+
+
+def test_joints_follow_by_linear_equalities_as_in_mujoco(tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
+    bodies = "".join(
+        f'<body name="b{k}"><joint name="j{k}" {more}/><geom size="1"/></body>'
+        for k, more in enumerate(
+            ('range="0 90" ref="20"', 'type="slide" ref="0.3"', 'axis="1 0 0"', 'axis="1 0 0"')
+        )
+    )
+    coupled = """<equality>
+        <joint joint1="j1" joint2="j0" polycoef="0.1 -0.5"/><joint joint1="j2" joint2="j1"/>
+        <joint joint1="j0" joint2="j2"/><joint joint1="j3" joint2="j0" polycoef="0 1 2"/>
+        <joint joint1="j3" joint2="j0" active="false"/><joint joint1="j3"/></equality>"""
+    path = model(tmp_path, bodies, coupled)
+    obj = load_path(path)
+    left = "a <joint> of <equality>, an equality of 'j0', an equality of 'j3'"
+    assert obj.notes == (f"not read, left out: {left}",)
+    state = articulation.driven_state(obj, {"j0": 0.7, "j3": 0.0}).q
+    by_name = dict(zip([joint.name for joint in obj.moving_joints], state, strict=True))
+    q = [by_name[f"j{k}"] for k in range(4)]
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = q
+    mujoco.mj_forward(compiled, data)
+    np.testing.assert_allclose(data.efc_pos[:2], 0.0, atol=1e-12)  # of the two that are read
+    np.testing.assert_allclose(q[1], 0.4 - 0.5 * (0.7 - np.radians(20.0)))
+    with pytest.raises(InvalidSource, match="unknown joint 'j9'; correct it"):
+        load_path(model(tmp_path, bodies, '<equality><joint joint1="j9" joint2="j0"/></equality>'))
 
 
 def test_our_export_is_read_back_as_it_was(exported, rows):

@@ -4,6 +4,8 @@ MuJoCo moves meshes to their centres as it compiles, and geoms with them; here b
 file. A link's frame is its body's, moved to where its joint is.
 """
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.portable import product, turned
-from articugen.core.records import Joint, JointKind, Mesh
+from articugen.core.records import Joint, JointKind, Mesh, Mimic
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.mjcf.document import Document
 from articugen.sources.mjcf.geoms import NO_SURFACE, Geoms, seen
@@ -36,6 +38,7 @@ class Model:
         self._document = document = Document(path, files)
         self.links: dict[str, Mesh] = {}
         self.joints: list[Joint] = []
+        self._rest: dict[str, float] = {}  # of each that moves, its `ref`
         self.notes: list[str] = []
         world = document.world
         self._within = {world: (world, np.eye(4))}  # of bodies and frames the body, `T_body_frame`
@@ -64,7 +67,8 @@ class Model:
             if body in bodies:
                 self._links[body] = self._hang(body, *bodies[body], joints.get(body, []))
             self._show(body, shown.get(body, []))
-        absent = {tag for tag in ("equality", "tendon") if document.root.find(tag) is not None}
+        absent = {"tendon"} if document.root.find("tendon") is not None else set[str]()
+        absent |= set(self._couple())
         absent |= {f"a {g.get('type')}" for g in world.iter("geom") if g.get("type") in NO_SURFACE}
         if absent:
             self.notes.append(f"not read, left out: {', '.join(sorted(absent))}")
@@ -116,6 +120,7 @@ class Model:
             joint_name = joint.get("name") or self._name("joint", name)
             child = name if joint is moving[-1] else self._name("body", joint_name)
             kind, lower, upper, rest = self._reach(joint)
+            self._rest[joint_name] = rest
             pivot, axis = self._line(joint)
             back = transform(translation=-rest * axis)
             if kind != JointKind.PRISMATIC:
@@ -125,6 +130,36 @@ class Model:
             self.links[child] = joined(())
             above, at, T = child, pivot, np.eye(4)
         return name, at
+
+    def _couple(self) -> Iterator[str]:
+        """Let joints follow others by the linear equalities of two; yield what the others are.
+
+        MuJoCo counts both states from `ref`; coefficients are of radians, whatever the file has.
+        """
+        document, drivers = self._document, dict[str, str]()
+        number = {j.name: k for k, j in enumerate(self.joints) if j.kind != JointKind.FIXED}
+        for equality in document.root.iterfind("equality/*"):
+            if equality.get("active") == "false":
+                continue
+            name, driver = equality.get("joint1"), equality.get("joint2")
+            if equality.tag != "joint" or driver is None:
+                yield f"a <{equality.tag}> of <equality>"
+                continue
+            for one in (name, driver):
+                if one not in number:
+                    raise document.refuse(equality, f"unknown joint {quoted(str(one))}; correct it")
+            terms = document.numbers(equality, "polycoef", (1, 2, 3, 4, 5), "0 1")
+            offset, multiplier, *higher = [*terms, 1.0] if len(terms) == 1 else terms
+            last = driver
+            while last in drivers and last != name:
+                last = drivers[last]
+            if any(higher) or name in drivers or last == name:
+                yield f"an equality of {quoted(name)}"
+                continue
+            drivers[name] = driver
+            offset += self._rest[name] - multiplier * self._rest[driver]
+            joint = self.joints[number[name]]
+            self.joints[number[name]] = replace(joint, mimic=Mimic(driver, multiplier, offset))
 
     def _line(self, joint: Any) -> tuple[Floats, Floats]:
         """Return a point (3,) of a joint's axis and its direction (3,), in its body's frame."""
