@@ -31,8 +31,7 @@ class DataSettings(Section):
             Voxels of both are of the data's finest grid up to 64^3.
         occupancy: what is 1 there: `material`, the parts' own solids without the space that they
             enclose, the same in every pose; or `visible`, what no view sees free (the paper's).
-        validation_objects: how many objects of the training split are held out; at most a quarter, or
-            one.
+        validation_objects: how many training objects are held out; at most a quarter, or one.
     """
 
     surface_points: int = Field(default=4096, ge=1)
