@@ -223,6 +223,22 @@ def test_a_lid_hits_its_base_in_half_of_a_range_that_lies_half_in_it(tmp_path):
     assert "limits" not in kinds(free)
 
 
+@pytest.mark.parametrize(("reach", "found"), [(1.0, ["together"]), (0.5, []), (1.5, ["collides"])])
+def test_blocks_that_meet_only_if_both_slide_are_found(tmp_path, reach, found):
+    block = '<visual><geometry><box size="1 1 1"/></geometry></visual></link>'
+    slide = """<joint name="{0}" type="prismatic"><parent link="floor"/><child link="{0}"/>
+        <origin xyz="{1} 0 0.8"/><axis xyz="{2} 0 0"/>{3}</joint>"""
+    limit = LIMIT.format(0, reach)
+    (tmp_path / "two.urdf").write_text(
+        '<robot name="two"><link name="floor"><visual><geometry><box size="4 1 0.1"/></geometry>'
+        f'</visual></link><link name="a">{block}<link name="b">{block}'
+        f"{slide.format('a', -1.1, 1, limit)}{slide.format('b', 1.1, -1, limit)}</robot>"
+    )
+    (model,) = ag.check(tmp_path / "two.urdf", jobs=0).models
+    assert kinds(model) == found
+    assert (model.together > 0.02) == (found == ["together"])
+
+
 def test_folders_hold_models_or_meshes_and_what_is_hostile_gets_a_line(tmp_path):
     CUBE.export(tmp_path / "a.stl")
     (tmp_path / "b").mkdir()

@@ -37,7 +37,7 @@ RECIPE = Recipe(name="check", views=ViewSettings(count=60, resolution=192))
 """Fewer and smaller views than data are made with: of 80 real models one other finding, sheets."""
 TOO_DEEP = RECIPE.articulation.collision_depth
 """Unit frame: parts that are deeper in one another than at rest by that collide."""
-STATES = 8  # of each joint alone, from end to end of its range
+STATES = 8  # of each joint alone, from end to end of its range; of all of them, at random
 LATTICE = 32  # points along an edge of a box where it is asked what is solid
 THIN = 0.05  # share of the surface behind which a wall is no thicker than `thickness`
 
@@ -54,6 +54,7 @@ FINDINGS = {
     "pivot": "a hinge farther from its part than half of that part's length",
     "axis": "an axis that is not of unit length: readers disagree about the motion",
     "collides": "parts run into one another inside the joint's range",
+    "together": "parts run into one another where several joints move, though not where one does",
     "overlap": "parts deep in one another at rest",
 }
 """What each kind of finding means, the worst first."""
@@ -133,6 +134,8 @@ class Checked:
         volume: of all material.
         enclosed: of space that is shut in between parts.
         overlap: how deep parts are in one another at rest, at most.
+        together: how much deeper than at rest at most, at random states of all joints, those are
+            that do not collide where joints move alone.
         seconds: it took.
         picture: an address that holds one; "" where none was wanted.
     """
@@ -146,6 +149,7 @@ class Checked:
     volume: float = 0.0
     enclosed: float = 0.0
     overlap: float = 0.0
+    together: float = 0.0
     seconds: float = 0.0
     picture: str = ""
 
@@ -199,6 +203,7 @@ def check_model(obj: ArticulatedObject, name: str, path: str) -> Checked:
         volume=sum(part.volume for part in parts),
         enclosed=model.enclosed(),
         overlap=float(rest.max()) * model.unit.scale,
+        together=model.together(rest) * model.unit.scale,
         seconds=time.monotonic() - start,
     )
     return replace(checked, findings=tuple(_findings(checked, model.unit.scale)))
@@ -227,6 +232,7 @@ class _Model:
             raise RejectedInstance("it has no faces: those of its links have no area")
         self.bvh = fusion.joined_bvh(self.solids)
         self.colliding = fusion.Colliding.of(self.mesh, self.bvh, rng=generator(0, "check"))
+        self.alone = np.zeros((obj.part_count,) * 2)  # how much deeper joints that move alone bring
 
     def part(self, k: int) -> PartChecked:
         soup, solid, scale = self.soups[k], self.solids[k], self.unit.scale
@@ -257,6 +263,7 @@ class _Model:
         joint, at = self.obj.moving_joints[j], self.mesh.part(j + 1)
         states = [articulation.driven_state(self.obj, {joint.name: q}) for q in _values(joint)]
         deeper = np.stack([0.0 * rest, *(self.depths(state) - rest for state in states)])
+        self.alone = np.maximum(self.alone, deeper.max(axis=0))
         bad = deeper.max(axis=(1, 2)) > TOO_DEEP
         worst = np.unravel_index(np.argmax(deeper), deeper.shape)
         away, axis = at.vertices - self.unit.to_unit(self.posed.pivots[j]), self.posed.axes[j]
@@ -275,6 +282,17 @@ class _Model:
             depth=float(deeper[worst]) * self.unit.scale if bad.any() else 0.0,
             between=tuple(self.names[k] for k in worst[1:]) if bad.any() else (),
         )
+
+    def together(self, rest: Floats) -> float:
+        """Compute `Checked.together`, in the unit frame, once each joint was checked alone."""
+        ranges = {joint.name: _values(joint) for joint in self.obj.moving_joints}
+        drawn = {name: values for name, values in ranges.items() if len(values)}
+        rng, deeper = generator(0, "check", "together"), np.zeros_like(rest)
+        for _ in range(STATES if len(drawn) > 1 else 0):
+            state = {name: rng.uniform(values[0], values[-1]) for name, values in drawn.items()}
+            depths = self.depths(articulation.driven_state(self.obj, state))
+            deeper = np.maximum(deeper, depths - rest)
+        return float(deeper[self.alone <= TOO_DEEP].max())
 
     def depths(self, state: JointState) -> Floats:
         """Return (P, P) how deep parts are in one another; 0 where they have not moved apart."""
@@ -341,6 +359,8 @@ def _findings(checked: Checked, scale: float) -> Iterator[Finding]:
     """Yield what is amiss in the order of `FINDINGS`."""
     amiss = [(kind, f"{part.name} {text}") for part in checked.parts for kind, text in _of(part)]
     amiss += [(k, f"{joint.name} {text}") for joint in checked.joints for k, text in _moved(joint)]
+    if checked.together > TOO_DEEP * scale:
+        amiss.append(("together", f"{checked.together:.2g} deeper than alone"))
     if checked.overlap > 2.0 * TOO_DEEP * scale:
         amiss.append(("overlap", f"{checked.overlap:.2g} deep"))
     for kind in FINDINGS:
