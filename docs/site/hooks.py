@@ -35,6 +35,7 @@ PAGES = {
     "LICENSE": "LICENSE.txt",
     "examples/README.md": "examples/index.md",
     "examples/models/cabinet.urdf": "examples/models/cabinet.urdf",
+    "examples/own_urdf.ipynb": "examples/own_urdf.ipynb",
     "urdf_sources/README.md": "models/index.md",
     **{f"urdf_sources/{name}/README.md": f"models/{name}.md" for name in _SOURCES},
 }
