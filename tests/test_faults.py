@@ -83,13 +83,13 @@ def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
 ) -> None:
     read = readers.load
 
-    def load(ref):
+    def load(ref, **options):
         if ref.object_id == "box2":
             try:
                 raise error
             except (OSError, MemoryError):
                 raise InvalidSource("box2: cannot be read") from None
-        return read(ref)
+        return read(ref, **options)
 
     monkeypatch.setattr(readers, "load", load)
     ours = job(tmp_path / "out", source=str(boxes), category="box")

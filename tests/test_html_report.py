@@ -283,9 +283,6 @@ def picture(tab: Any) -> bytes:
 
 def test_a_slider_moves_its_part_as_the_shard_says(chromium: Any, page: Path) -> None:
     tab, faults = opened(chromium, page, PHONE)
-    values = [float(tab.input_value(f"#viewer .joint input >> nth={j}")) for j in (0, 1)]
-    np.testing.assert_allclose(values, [35.0, 0.105])  # it opens a little open, of 100° and 0.3
-    assert tab.inner_text("#viewer output >> nth=0") == "35°"
     made = hinged_box(STATES)
     unit = np.array([np.degrees(1.0), made[0].scale])
     seen = [picture(tab)]

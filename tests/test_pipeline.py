@@ -520,12 +520,12 @@ def test_whatever_reading_one_object_raises_the_others_are_made(
 ) -> None:
     read = readers.load
 
-    def load(ref):
+    def load(ref, **options):
         if ref.object_id == "box2":
             if callable(error):
                 error()
             raise error
-        return read(ref)
+        return read(ref, **options)
 
     monkeypatch.setattr(readers, "load", load)
     ours = job(tmp_path / "out", source=str(boxes), category="box")
