@@ -140,6 +140,7 @@ def _summary(objects: "Sequence[ObjectJoints]") -> str:
     turned, slid, far = (mean_error(objects, name) for name in ("turned", "slid", "apart"))
     errors = [f"{turned * 57.29578:.2f} degrees"] if turned is not None else []
     errors += [f"{slid:.4f} of the unit frame"] if slid is not None else []
+    motions = f"E {far:.4f}; " if far is not None else ""
     seconds = sum(o.seconds for o in objects) / max(len(objects), 1)
     return (
         f"{counted(len(objects), 'object')}, right in all joints: number "
@@ -147,5 +148,5 @@ def _summary(objects: "Sequence[ObjectJoints]") -> str:
         f"degrees {share(objects, 'axis'):.0%}, pivot within {PIVOT:g} "
         f"{share(objects, 'pivot'):.0%}, states within these {share(objects, 'states'):.0%}; "
         f"states off by {' and '.join(errors) or 'nothing that can be said'} on average; "
-        f"E {far or 0.0:.4f}; {seconds:.1f} s of CPU an object"
+        f"{motions}{seconds:.1f} s of CPU an object"
     )

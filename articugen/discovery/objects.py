@@ -38,7 +38,8 @@ class Judged:
         states: and their mean error is within AXIS or PIVOT.
         turned, slid: the mean error of the states of revolute (radians) and prismatic joints (unit
             frame) of the right kind; None where there are none.
-        apart: the mean E of the joints over the states that are there, see `motions_apart`.
+        apart: the mean E of the joints over the states that are there, see `motions_apart`; None
+            where nothing is seen of what they move.
     """
 
     count: bool
@@ -211,7 +212,8 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
         match = joints[of[j]] if j in of else None
-        apart.append(_apart(match, true, states[:, j] - states[0, j], points[part == j + 1]))
+        if (part == j + 1).any():
+            apart.append(_apart(match, true, states[:, j] - states[0, j], points[part == j + 1]))
         if match is None or str(match.kind) != true.kind:
             kind = axis = pivot = near = False
             continue
@@ -233,8 +235,6 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
 
 def _apart(match: FoundJoint | None, true: Any, states: Floats, points: Floats) -> float:
     """Return E of a joint as found, over the states (P,) since pose 0."""
-    if not len(points):
-        return 0.0  # nothing of it is seen
     pivot = true.pivot if true.kind == "revolute" else None
     truth = twist_ends(np.asarray(true.axis), pivot, [states.min(), states.max()])
     ends = np.zeros((2, 6))

@@ -14,7 +14,7 @@ from articugen.core.jit import cross, dot, helper, kernel, minus, vector
 from articugen.core.records import LabelledMesh
 from articugen.fusion.field import PosedSolids
 from articugen.fusion.solidify import probes
-from articugen.meshes.bvh import Bvh, ordered, tree_of
+from articugen.meshes.bvh import Bvh, misses, ordered, tree_of
 
 IsBuried = Callable[[NDArray[np.float32], Bytes], Bools]
 
@@ -104,11 +104,7 @@ def _cut(corners, part, within, box, skip, leaf, nodes):
         normal, offset = _plane(corners, f)
         node = 0
         while node < nodes:
-            apart = False
-            for axis in range(3):
-                a, b, c = corners[f, 0, axis], corners[f, 1, axis], corners[f, 2, axis]
-                apart |= min(a, b, c) > box[node, axis + 3] or max(a, b, c) < box[node, axis]
-            if apart:
+            if misses(corners, f, box, node):
                 node = skip[node]
                 continue
             for g in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):

@@ -159,6 +159,16 @@ def _measure(corners, centers, order, low, high, box, node):
 
 
 @helper
+def misses(corners, f, box, node):  # pragma: no cover - compiled
+    """Return whether the box of a face, of all corners (F, 3, 3), does not reach that of a node."""
+    apart = False
+    for axis in range(3):
+        a, b, c = corners[f, 0, axis], corners[f, 1, axis], corners[f, 2, axis]
+        apart |= min(a, b, c) > box[node, axis + 3] or max(a, b, c) < box[node, axis]
+    return apart
+
+
+@helper
 def meets(p, w, reach, to_part, box, skip, leaf, triangles, roots):
     """Return whether the way from `p` to `p + reach * w` meets any face of any part.
 

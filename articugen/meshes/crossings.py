@@ -4,7 +4,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats, Ints
 from articugen.core.jit import cross, dot, helper, kernel, minus, vector
-from articugen.meshes.bvh import ordered
+from articugen.meshes.bvh import misses, ordered
 
 _CLEAR = 1e-6
 """Unit frame: how far past a plane and inside of edges a crossing must be, or it is a touch."""
@@ -28,11 +28,7 @@ def _pairs(corners, box, skip, leaf, nodes, most):
     for f in range(corners.shape[0]):
         node = 0
         while node < nodes and count < most:
-            apart = False
-            for axis in range(3):
-                a, b, c = corners[f, 0, axis], corners[f, 1, axis], corners[f, 2, axis]
-                apart |= min(a, b, c) > box[node, axis + 3] or max(a, b, c) < box[node, axis]
-            if apart:
+            if misses(corners, f, box, node):
                 node = skip[node]
                 continue
             for g in range(max(leaf[node, 0], f + 1), leaf[node, 0] + leaf[node, 1]):

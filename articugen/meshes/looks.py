@@ -122,7 +122,7 @@ class Looks:
             rest = rest.strip()
             if key == b"newmtl":
                 name, known[rest] = rest, Material((1.0, 1.0, 1.0))
-            elif key == b"Kd" and name and (kd := colour_of(rest.split()[:3])):
+            elif key == b"Kd" and name and (kd := rgb_of(rest.split()[:3])):
                 known[name] = known[name]._replace(kd=kd)
             elif key == b"map_Kd" and name and rest:
                 file = rest.split()[-1] if rest.startswith(b"-") else rest  # after options
@@ -188,7 +188,7 @@ def _which(corner: bytes, known: int) -> int:
     return number if 0 <= number < known else -1
 
 
-def colour_of(words: Sequence[Any]) -> tuple[float, ...] | None:
+def rgb_of(words: Sequence[Any]) -> tuple[float, ...] | None:
     """Return three numbers from 0 to 1 of as many words, or of one that stands for all; or None."""
     numbers = tuple(min(max(0.0, number), 1.0) for number in _numbers(words))
     return {1: numbers * 3, 3: numbers}.get(len(numbers))

@@ -12,7 +12,7 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply
 from articugen.core.records import Mesh
 from articugen.meshes import read, scenes
-from articugen.meshes.looks import GREY, colour_of, in_bytes, wanted_looks
+from articugen.meshes.looks import GREY, in_bytes, rgb_of, wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
 from articugen.sources.xml_check import MAX_NUMBER
 
@@ -78,7 +78,7 @@ class Shapes:
                 "or the unit of its file"
             )
         rgba = element.get("rgba", "").split()[:3] if wanted_looks() else ()
-        return painted(replace(shape, vertices=vertices), colour_of(rgba))
+        return painted(replace(shape, vertices=vertices), rgb_of(rgba))
 
     def _check_size(self, faces: int, vertices: int) -> None:
         if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:

@@ -11,9 +11,10 @@ from articugen.core.records import Floats, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.verify.bounds import TOLERANCES
 
-_LOOKED_AT, _SPECKS = 500, 0.02
+_LOOKED_AT, _SPECKS = 500, 0.004
 """Query points whose distance is compared with that to each surface point, and the share of them
-that may be farther: of soups, views err in specks of the surface. Sound sets have up to 0.002."""
+that may be farther: of soups, views err in specks of the surface. Of 240 sound clouds of messy,
+rough and varied objects none has more than 0.0004, most and real ones 0."""
 
 
 def distances(row: Instance, recipe: Recipe) -> Iterator[str]:
