@@ -167,7 +167,9 @@ def test_what_make_calls_speaks_of_make(recipe, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
-@pytest.mark.parametrize("words", [("generate", "--help"), ("export", "--to"), ("discover",)])
+@pytest.mark.parametrize(
+    "words", [("--help",), ("sources",), ("generate", "--help"), ("export", "--to"), ("discover",)]
+)
 def test_who_stops_reading_ends_a_command_without_a_word(tmp_path: Path, words: tuple[str]) -> None:
     """As `head` does; the status is that of SIGPIPE, as other tools have it."""
     reader, writer = os.pipe()
@@ -408,7 +410,7 @@ def test_a_stop_is_not_swallowed_by_a_module_that_is_imported(tmp_path, name, st
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-@pytest.mark.parametrize("arguments", [["--help"], ["inspect", "SET"]])
+@pytest.mark.parametrize("arguments", [["sources"], ["--help"], ["inspect", "SET"]])
 def test_a_full_standard_output_is_one_sentence(arguments: list[str], made: Path) -> None:
     command = [str(made) if word == "SET" else word for word in arguments]
     with open("/dev/full", "w") as full:

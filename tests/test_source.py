@@ -153,6 +153,8 @@ def test_folders_are_read_by_the_reader_they_look_like(tmp_path, monkeypatch):
     assert [found[:2] for found in seen] == [("100", "100"), ("300", "300")]
     partnet = read_source_file(SOURCES / "partnet_mobility" / "source.yaml")
     assert seen[0][2] == partnet.categories["laptop"]
+    with pytest.raises(InvalidSource, match="no category 'chair'; there are: Laptop, Oven"):
+        open_source(tmp_path).objects("chair")
     (alone,) = open_source(tmp_path / "200").objects("anything")
     assert (alone.object_id, alone.settings.model_cat) == ("200", ("Oven",))
 
