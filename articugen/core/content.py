@@ -34,7 +34,7 @@ MODELS = {
 }  # fmt: skip
 """The same for the shapes of bundled models, by category: models and their data are made again."""
 
-FORMS = {"varied": 2, "rough": 2}  # the same for all models drawn, or written, in such a form
+FORMS = {"varied": 3, "rough": 2}  # the same for all models drawn, or written, in such a form
 
 KEYS = {
     "partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1, "surface_color": 1,

@@ -150,7 +150,8 @@ def support(rng: np.random.Generator, layout: Layout, board: float) -> tuple[lis
     foot = Rect(-depth / 2, y0, depth / 2, width / 2)  # (x, y) instead of (y, z)
     lift = _LIFTS[kind] * height * rng.uniform(0.85, 1.25)
     if kind.startswith("high"):
-        lift = min(lift, height - 6.5 * board - 0.06)  # or no hand would get into the drawers
+        rows = 2.0 if layout.kneehole else 1.0  # of drawers into which a hand must get
+        lift = min(lift, height - (2.5 + 2.5 * rows) * board - 0.04 * rows)
     solids = _SUPPORTS[kind](foot, lift, board)
     if layout.kneehole > 0.0:
         x, y = depth / 2, -width / 2
@@ -171,10 +172,10 @@ _LIFTS = {
     "casters": 0.1,
     "tall": 0.42,
     "tall_round": 0.6,
-    "high": 0.7,
-    "high_round": 0.7,
-    "high_shelf": 0.7,
-    "high_bars": 0.7,
+    "high": 0.78,
+    "high_round": 0.78,
+    "high_shelf": 0.78,
+    "high_bars": 0.78,
 }
 """The floor of the carcass above the ground, part of the whole height."""
 

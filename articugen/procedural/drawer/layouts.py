@@ -196,10 +196,17 @@ _TABLES = (
     *(_Piece(((0.45, wide), (0.4, 0.9), (0.6, 0.85)),  # one drawer in the middle
              _ROW(shares=((0.15, 0.8), 1, (0.15, 0.8))), _HIGH, overhang=0.1)
       for wide in (1.7, 0.9)),
-    _Piece(((0.9, 1.8), (0.4, 0.9), (0.4, 0.8)), _columns((1, (0.8, 1.25)), _TWO), _HIGH,
-           overhang=0.08, bare=0.2),
-    _Piece(((1.1, 1.9), (0.4, 0.9), (0.6, 0.8)), _columns((1, (0.8, 2.5), 1), _THREE), _HIGH,
-           overhang=0.08),
+    *(_Piece(((0.9, 1.8), (0.4, 0.9), (low, 0.8)), _columns((1, (0.8, 1.25)), _TWO), _HIGH,
+             overhang=0.08, bare=0.2)
+      for low in (0.4, 0.6)),
+    *(_Piece(((1.1, 1.9), (0.4, 0.9), (0.6, 0.8)), _columns((1, (0.8, wide), 1), _THREE), _HIGH,
+             overhang=0.08)
+      for wide in (1.2, 2.5)),
+    _Piece(((0.9, 1.8), (0.4, 0.9), (0.5, 0.85)),  # in a row, away from the legs
+           _columns(((0.2, 0.7), 1, 1, (0.2, 0.7)), ("blank", *_TWO, "blank")), _HIGH,
+           overhang=0.1),
+    _Piece(((1.2, 2.0), (0.4, 0.8), (0.6, 0.85)), _columns((1,) * 4, ("drawer",) * 4), _HIGH,
+           overhang=0.06),
     _Piece(((1.1, 1.9), (0.45, 0.9), (0.65, 0.8)),  # drawers at both ends
            _columns((1, (0.8, 2.5), 1), ("drawer", "blank", "drawer")), _HIGH, overhang=0.08),
     _Piece(((1.0, 1.8), (0.5, 0.9), (0.65, 0.8)),  # in a hanging pedestal
@@ -221,6 +228,9 @@ _DEEP = (
            growth=(1.0, 1.2)),
     _Piece(((0.9, 1.6), (0.4, 0.55), (0.6, 1.0)),  # two banks
            _columns((1, 1), (_rows((1, 1), _TWO), _rows((1, 1), _TWO)))),
+    _Piece(((0.9, 1.4), (0.4, 0.6), (0.3, 0.6)),  # small drawers at both ends
+           _columns((1, (3.0, 7.0), 1),
+                    (_rows((1, 1), _TWO), Either(0.6, "shelf", "blank"), _rows((1, 1), _TWO)))),
 )
 # fmt: on
 """Cabinets as deep as they are wide, and those with four drawers: PPD has no more sliding parts."""

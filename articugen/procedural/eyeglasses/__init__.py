@@ -23,7 +23,7 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import cos, norm, power, product, sin
-from articugen.procedural.eyeglasses.shape import HIGHEST, Glasses, draw, elsewise
+from articugen.procedural.eyeglasses.shape import Glasses, draw, elsewise
 from articugen.procedural.kit import MM
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.outlines import circle, ellipse, rounded_rectangle
@@ -65,7 +65,7 @@ def _built(rng: np.random.Generator, shape: Glasses, *, upright: bool) -> Model:
         right, end = _eye(shape), None
         middle = [*_bridge(rng, shape), *_nose_pads(rng, shape)]
         face = [*right, *(s.mirrored(1) for s in right), *middle]
-        highest = HIGHEST * float(shape.lens[:, 1].max())
+        highest = shape.highest * float(shape.lens[:, 1].max())
     # From the middle of the face to the right hinge, which lies outside the lens.
     outermost = max(float(solid.vertices[:, 1].max()) for solid in face)
     across = outermost + shape.temple[0] / 2 + 0.5 * MM

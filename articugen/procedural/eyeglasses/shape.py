@@ -11,7 +11,7 @@ from articugen.procedural.eyeglasses.lenses import lens_outline, lens_shapes
 from articugen.procedural.kit import MM
 from articugen.procedural.kit.solids import Solid
 
-HIGHEST = 0.75  # a hinge's height over the lenses' middle, part of theirs
+_HIGHEST = 0.75
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class Glasses:
         tilt: by how much the lenses lean forward at their lower edge, radians.
         glazed: whether there are lenses in the rims.
         upper: how far temples fold, radians.
+        highest: how high hinges may lie over the lenses' middle, part of the lenses' height there.
     """
 
     style: str
@@ -51,6 +52,7 @@ class Glasses:
     tilt: float = 0.0
     glazed: bool = True
     upper: float = float(np.deg2rad(90.0))
+    highest: float = _HIGHEST
 
     def placed(self, solid: Solid) -> Solid:
         """Return a solid, drawn about the right lens's middle (along_x applied), at its place."""
@@ -100,7 +102,7 @@ def draw(rng: np.random.Generator) -> Glasses:
         wire=wire,
         rim=(broad, rng.uniform(3.6, 5.5) * MM),
         wrap=np.deg2rad(rng.uniform(0.0, 9.0)),
-        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, HIGHEST)),
+        hinge_z=float(outline[:, 1].max() * rng.uniform(0.15, _HIGHEST)),
         temple=(2.2 * wire, 2.2 * wire)
         if round_temple
         else (rng.uniform(2.6, 4.4) * MM, tall * MM),
@@ -119,8 +121,11 @@ def elsewise(rng: np.random.Generator, s: Glasses) -> Glasses:
     if not s.round_temple:
         thick, tall = thick * u(0.8, 1.5), min(tall * u(0.8, 2.0), 16 * MM)
     broad = u(0.7, 1.8) if u() < 0.5 else 1.0
+    highest = u(_HIGHEST, 1.0)  # of some as high as the rims
     return replace(
         s,
+        highest=highest,
+        hinge_z=float(s.lens[:, 1].max()) * u(0.3, 1.0) * highest,
         wire=s.wire * u(0.6, 1.4),
         rim=(s.rim[0] * broad, s.rim[1] * u(0.7, 1.5)),
         lens_y=s.lens_y + (broad - 1.0) * s.rim[0] / 2,

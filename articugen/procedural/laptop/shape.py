@@ -58,7 +58,7 @@ OTHERS = {
                  ("center", "full"), 0.5),
     "broad": Kind((13, 17.5), (0.042, 0.075), (0.5, 1), (0.014, 0.032), (2, 22), (6, 26),
                   ("pair", "center", "full"), 0.4),
-    "brick": Kind((12, 16), (0.065, 0.11), (0.7, 1), (0.024, 0.05), (2, 16), (12, 32),
+    "brick": Kind((12, 16), (0.065, 0.14), (0.7, 1), (0.024, 0.05), (2, 16), (12, 32),
                   ("pair", "full"), 0.3),
     "tablet": Kind((10, 13.5), (0.03, 0.045), (0.7, 1), (0.024, 0.042), (6, 22), (8, 18),
                    ("center", "full"), 0.2),
@@ -188,7 +188,7 @@ class LaptopShape:
 
 def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape:
     """Return the measures of a laptop of any kind; a varied one has others at its choice, too, a
-    higher chin, or reaches far behind its hinge."""
+    higher chin, a hinge above the deck, or reaches far behind its hinge."""
     kind = str(rng.choice([*KINDS, *OTHERS, *OTHERS] if varied else list(KINDS)))
     ranges = (KINDS | OTHERS)[kind]
     diagonal = rng.uniform(*ranges.diagonal) * 25.4 * MM
@@ -213,6 +213,11 @@ def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape
     else:
         barrel = min(max(girth * tall, 1.6 * MM), 0.8 * (lid + gap / 2))
         deck = -gap / 2
+        if (
+            varied and kind != "rugged" and rng.random() < 0.4
+        ):  # the lid lies as low as its hinge, or lower
+            barrel = max(min(rng.uniform(0.7, 1.1) * lid, 0.35 * tall), barrel)
+            deck -= rng.uniform(0.3, 0.8) * max(barrel - gap, 0.0)
         highest = barrel
     bottom_rear = highest - tall
     reach = barrel + SLIT
