@@ -189,21 +189,27 @@ def with_settings(recipe: Model, texts: Sequence[str]) -> Model:
     return validated(type(recipe), data, " ".join(f"--set {text}" for text in texts)[:200])
 
 
-def validated(model: type[Model], data: dict[str, Any], where: str) -> Model:
-    """Return `data` as a `model`; InvalidRecipe names `where`, and the nearest valid key."""
+def validated(
+    model: type[Model], data: Any, where: str, refusal: type[ArticugenError] = InvalidRecipe
+) -> Model:
+    """Return `data` as a `model`; the `refusal` names `where`, and the nearest valid key."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        faults = error.errors()
-        first = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
-        key = ".".join(map(str, first["loc"]))
-        if first["type"] == "extra_forbidden":
-            hint = _nearest_key(model, first["loc"])
-            raise InvalidRecipe(f"{where}: unknown key {key[:100]!r}{hint}") from None
-        message = first["msg"].removeprefix("Value error, ")
-        raise InvalidRecipe(": ".join(filter(None, (where, key, message)))) from None
+        for unknown in (f for f in error.errors() if f["type"] == "extra_forbidden"):
+            key = ".".join(map(str, unknown["loc"]))[:100]
+            hint = _nearest_key(model, unknown["loc"])
+            raise refusal(f"{where}: unknown key {key!r}{hint}") from None
+        raise refusal(f"{where}: {fault_in(error)}") from None
     except OverflowError:  # pydantic's, of an integer that no float can hold
-        raise InvalidRecipe(f"{where}: a number is too large; write a smaller one") from None
+        raise refusal(f"{where}: a number is too large; write a smaller one") from None
+
+
+def fault_in(error: ValidationError) -> str:
+    """Return the first fault, where it is and what is wrong there."""
+    first = error.errors()[0]
+    where, message = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+    return f"{where}: {message}" if where else message
 
 
 def nearest(name: str, known: list[str], cutoff: float = 0.6) -> str:

@@ -19,6 +19,7 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import transform
 from articugen.core.portable import norm
 from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh
+from articugen.core.yaml_files import fault_in
 from articugen.meshes.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.read import read_mesh
 from articugen.meshes.scenes import check_size
@@ -114,10 +115,7 @@ def _load_raw(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     try:
         root = _Dof.model_validate_json(files.read(path, MAX_TEXT_BYTES))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        problem = first["msg"].removeprefix("Value error, ")
-        raise InvalidSource(f"{path}: {quoted(where)}: {problem}; correct it there") from None
+        raise InvalidSource(f"{path}: {fault_in(error)}; correct it there") from None
     dofs = list(_walk(root))
     if len(dofs) >= MAX_LINKS:
         raise InvalidSource(f"{path}: more than {MAX_LINKS:,} parts; split the model")

@@ -10,11 +10,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource
-from articugen.core.yaml_files import Section, nearest, parsed_yaml, yaml_bytes
+from articugen.core.yaml_files import Section, nearest, parsed_yaml, validated, yaml_bytes
 from articugen.sources.readers import Maker, check_name, names, reader
 from articugen.sources.refs import CategorySettings
 
@@ -116,17 +116,8 @@ def unknown(where: str, name: str, there: Collection[str]) -> InvalidSource:
 def read_source_file(path: Path) -> SourceFile:
     """Read and check one source.yaml; InvalidSource if it is unreadable, not YAML, or has an
     unknown key (with the nearest valid one) or a bad value."""
-    try:
-        return SourceFile.model_validate(_parsed(str(path), yaml_bytes(path, InvalidSource)))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            section = CategorySettings if first["loc"][0] == "categories" else SourceFile
-            hint = nearest(str(first["loc"][-1]), list(section.model_fields))
-            raise InvalidSource(f"{path}: unknown key {where!r}{hint}") from None
-        message = first["msg"].removeprefix("Value error, ")
-        raise InvalidSource(f"{path}: {where or 'the file'}: {message}") from None
+    data = _parsed(str(path), yaml_bytes(path, InvalidSource))
+    return validated(SourceFile, data, str(path), InvalidSource)
 
 
 @lru_cache(64)

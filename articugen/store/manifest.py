@@ -18,6 +18,7 @@ from articugen.core.errors import CorruptShard, printable
 from articugen.core.files import UnfitFile, read_regular, write_atomically
 from articugen.core.place import Folder
 from articugen.core.schema import SCHEMA_VERSION
+from articugen.core.yaml_files import fault_in
 from articugen.store.bucket import Files, Remote
 from articugen.store.manifest_pages import MOST_BYTES, Head, Page, head_in, page_of, stale_pages
 from articugen.store.outcome import Key, ObjectEntry, Outcome, Record, Rejection, Sha256, ShardEntry
@@ -300,7 +301,7 @@ def _parsed(text: bytes, path: Path | Remote, read: Callable[[Page], bytes | Non
         return Manifest.model_validate(_with_entries(head, path, read))
     except ValidationError as error:
         raise CorruptShard(
-            f"{path}: {_first_fault(error)}; fetch it again, or delete the folder and make it again"
+            f"{path}: {fault_in(error)}; fetch it again, or delete the folder and make it again"
         ) from None
 
 
@@ -340,7 +341,7 @@ def _entries_in(page: Page, data: bytes | None) -> tuple[_Entries | None, str]:
     try:
         piece = _Entries.model_validate_json(data)
     except ValidationError as error:
-        return None, _first_fault(error)
+        return None, fault_in(error)
     if sum(len(getattr(piece, name)) for name in LISTS) != page.entries:
         return None, f"does not hold {page.entries:,} entries"
     return piece, ""
@@ -353,10 +354,3 @@ def _compact(value: Any) -> bytes:
 def content_of(objects: Iterable[ObjectEntry]) -> str:
     """Return the digest of a whole data set: over the sorted (split, object_id, content_sha256)."""
     return content_sha256((o.key.split, o.key.object_id, o.content_sha256) for o in objects)
-
-
-def _first_fault(error: ValidationError) -> str:
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
-    sentence = first["msg"].removeprefix("Value error, ")
-    return f"{where}: {sentence}" if where else sentence
