@@ -37,7 +37,7 @@ class Table:
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all that are installed, without `ours`, which nobody replaces."""
-        return (*self.ours, *_found(self.group, tuple(self.ours)))
+        return (*self.ours, *_found(self))
 
     def check(self, name: str) -> None:
         """Raise the refusal, which lists all, where there is none of that name."""
@@ -53,47 +53,37 @@ class Table:
         package, if it cannot be imported or lacks what it needs, MachineFault or MemoryError."""
         self.check(name)
         if name not in self.ours:
-            return _load(self, _installed(self.group)[name])
+            return _load(self, _found(self)[name])
         value = self.ours[name]
         return EntryPoint(name, value, self.group).load() if isinstance(value, str) else value
 
     def load_all(self) -> dict[str, Any]:
         """Load all that can be loaded, by name, without `ours`; what cannot is logged."""
-        return _load_all(self, tuple(self.ours))
+        return _load_all(self)
 
 
 def forget() -> None:
     """Look again at what is installed."""
-    for cached in (_installed, _found, _load, _load_all):
+    for cached in (_found, _load, _load_all):
         cached.cache_clear()
 
 
 @cache
-def _installed(group: str) -> dict[str, EntryPoint]:
+def _found(table: Table) -> dict[str, EntryPoint]:
     """By name; of one name the first package's counts."""
     points: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=group), key=lambda p: (p.name, _package(p))):
-        first = points.setdefault(point.name, point)
-        if _package(first) != _package(point):
-            _leave_out(point, _package(first))
+    owners = dict.fromkeys(table.ours, "articugen")
+    for point in sorted(entry_points(group=table.group), key=lambda p: (p.name, _package(p))):
+        owner = owners.setdefault(point.name, _package(point))
+        if owner == _package(point) and point.name not in table.ours:
+            points.setdefault(point.name, point)
+            continue
+        _LOG.warning(
+            "package %s: its entry point %r of %s is left out, since %s has one of that name; "
+            "rename it, or uninstall one of them",
+            *(_package(point), point.name, point.group, owner),
+        )
     return points
-
-
-@cache
-def _found(group: str, ours: tuple[str, ...]) -> dict[str, EntryPoint]:
-    points = dict(_installed(group))
-    for name in ours:
-        if name in points:
-            _leave_out(points.pop(name), "articugen")
-    return points
-
-
-def _leave_out(point: EntryPoint, other: str) -> None:
-    _LOG.warning(
-        "package %s: its entry point %r of %s is left out, since %s has one of that name; rename "
-        "it, or uninstall one of them",
-        *(_package(point), point.name, point.group, other),
-    )
 
 
 @cache
@@ -115,9 +105,9 @@ def _load(table: Table, point: EntryPoint) -> Any:
 
 
 @cache
-def _load_all(table: Table, ours: tuple[str, ...]) -> dict[str, Any]:
+def _load_all(table: Table) -> dict[str, Any]:
     usable = {}
-    for name, point in _found(table.group, ours).items():
+    for name, point in _found(table).items():
         try:
             usable[name] = _load(table, point)
         except BrokenPlugin as broken:
