@@ -3,6 +3,7 @@
 import re
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -251,7 +252,7 @@ def test_a_model_that_is_made_of_itself_many_times_ends_in_a_sentence(
     pytest.importorskip("pxr", reason="pip install 'articugen[usd]'")
     monkeypatch.setattr(apart, name, most)
     with pytest.raises(InvalidSource, match=r"takes OpenUSD more than .*; simplify it") as refused:
-        apart.read_apart(bomb(tmp_path), tmp_path)
+        apart.apart(partial(model.read_model, root=tmp_path), bomb(tmp_path))
     assert "bomb.usda" in str(refused.value)
 
 

@@ -9,14 +9,12 @@ model.
 import os
 import sys
 from collections.abc import Callable
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
 
 from articugen.core import processes
 from articugen.core.errors import InvalidSource, installing
-from articugen.sources.usd import model
 
 T = TypeVar("T")
 
@@ -27,19 +25,10 @@ _OURS = ("PXR_", "USD_", "SDF_", "PCP_", "TF_", "USDC_")
 """Variables by which OpenUSD finds plugins and folders of the user's."""
 
 
-def read_apart(path: Path, root: Path, *, with_meshes: bool = True) -> model.Model:
-    """Return the same as `model.read_model`, and raise as that does; InvalidSource also where it
-    takes too long or too much memory, or OpenUSD is not installed, MemoryError where the system
-    ended it."""
-    return _apart(partial(model.read_model, root=root, with_meshes=with_meshes), path)
-
-
-def digest_apart(path: Path, root: Path) -> str:
-    """Return the same as `model.digest`; raises as `read_apart`."""
-    return _apart(partial(model.digest, root=root), path)
-
-
-def _apart(function: Callable[[Path], T], path: Path) -> T:
+def apart(function: Callable[[Path], T], path: Path) -> T:
+    """Return what a function of `model` makes of a file, and raise as that does; InvalidSource also
+    where it takes too long or too much memory, or OpenUSD is not installed, MemoryError where the
+    system ended it."""
     # a package that somebody has replaced by None has no spec either
     if sys.modules.get("pxr", sys) is None or find_spec("pxr") is None:
         raise InvalidSource(

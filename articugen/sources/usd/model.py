@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -78,15 +78,6 @@ def _stage(layers: Layers, path: Path) -> Any:
     return stage
 
 
-@dataclass
-class _Found:
-    """Prims of a stage that count."""
-
-    bodies: list[Any] = field(default_factory=list)
-    joints: list[Any] = field(default_factory=list)
-    shapes: list[Any] = field(default_factory=list)
-
-
 class _Reading:
     """Reader of one stage."""
 
@@ -97,9 +88,8 @@ class _Reading:
         self._notes: list[str] = []
 
     def model(self, sha256: str) -> Model:
-        contents = self._found()
-        self._check(contents)
-        numbers = {prim.GetPath(): k for k, prim in enumerate(contents.bodies, 1)}
+        bodies, jointed, shapes = self._found()
+        numbers = {prim.GetPath(): k for k, prim in enumerate(bodies, 1)}
         (UsdGeom,) = pxr("UsdGeom")
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
             self._notes.append("does not state its unit: taken as centimetres, as USD has it")
@@ -108,18 +98,18 @@ class _Reading:
             raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
         up = _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
         physics = Stage(str(self._path), self._places, numbers, up, metres)
-        read = [(prim, read_joint(prim, physics)) for prim in contents.joints]
+        read = [(prim, read_joint(prim, physics)) for prim in jointed]
         joints = [(prim, joint) for prim, joint in read if joint is not None]
-        names = self._names([None, *contents.bodies])
+        names = self._names([None, *bodies])
         tree = Tree(
             str(self._path),
             names,
             [joint for _, joint in joints],
             self._names([prim for prim, _ in joints]),
-            _holders(contents.bodies, [joint for _, joint in joints]),
+            _holders(bodies, [joint for _, joint in joints]),
         )
-        meshes = self._meshes(contents, physics, tree.origins)
-        self._note_what_is_left_out(contents)
+        meshes = self._meshes(shapes, physics, tree.origins)
+        self._note_what_is_left_out(jointed)
         return Model(
             tuple(zip(names, meshes, strict=True)),
             tuple(tree.joints),
@@ -127,17 +117,29 @@ class _Reading:
             (*tree.notes, *self._notes),
         )
 
-    def _found(self) -> _Found:
+    def _found(self) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return the prims that are bodies, joints and shapes; InvalidSource for too many, or
+        none."""
         (UsdPhysics,) = pxr("UsdPhysics")
-        contents = _Found()
+        bodies, joints, shapes = list[Any](), list[Any](), list[Any]()
         for prim in self._prims():
             if prim.IsA(UsdPhysics.Joint):
-                contents.joints.append(prim)
+                joints.append(prim)
             elif self._shapes.shown(prim):
-                contents.shapes.append(prim)
+                shapes.append(prim)
             if prim.HasAPI(UsdPhysics.RigidBodyAPI) and body_of(prim) == prim:
-                contents.bodies.append(prim)
-        return contents
+                bodies.append(prim)
+        for what, prims in (("rigid bodies", bodies), ("joints", joints)):
+            if len(prims) >= MAX_LINKS:
+                raise InvalidSource(
+                    f"{self._path}: has more than {MAX_LINKS:,} {what}; simplify it"
+                )
+        if not shapes:
+            raise InvalidSource(
+                f"{self._path}: shows no shape; add meshes, or name the file that has the whole "
+                "model"
+            )
+        return bodies, joints, shapes
 
     def _prims(self) -> Iterator[Any]:
         """Yield the prims of the default prim, where the file names one; shared instances once
@@ -150,18 +152,6 @@ class _Reading:
             if number >= MAX_PRIMS:
                 raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
             yield prim
-
-    def _check(self, contents: _Found) -> None:
-        for what, prims in (("rigid bodies", contents.bodies), ("joints", contents.joints)):
-            if len(prims) >= MAX_LINKS:
-                raise InvalidSource(
-                    f"{self._path}: has more than {MAX_LINKS:,} {what}; simplify it"
-                )
-        if not contents.shapes:
-            raise InvalidSource(
-                f"{self._path}: shows no shape; add meshes, or name the file that has the whole "
-                "model"
-            )
 
     def _names(self, prims: Sequence[Any]) -> list[str]:
         """Return a name of each prim, the shown one where it has one; those that share one by their
@@ -185,10 +175,10 @@ class _Reading:
             names.append(unique)
         return names
 
-    def _meshes(self, contents: _Found, physics: Stage, origins: Floats) -> list[Mesh | None]:
+    def _meshes(self, shapes: list[Any], physics: Stage, origins: Floats) -> list[Mesh | None]:
         """Return the meshes of each link, in its frame."""
         meshes: list[list[Any]] = [[] for _ in origins]
-        for prim in contents.shapes:
+        for prim in shapes:
             body = body_of(prim)
             meshes[WORLD if body is None else physics.bodies.get(body.GetPath(), WORLD)].append(
                 prim
@@ -210,13 +200,13 @@ class _Reading:
             )
         return Mesh(vertices - origin, mesh.faces)
 
-    def _note_what_is_left_out(self, contents: _Found) -> None:
+    def _note_what_is_left_out(self, joints: list[Any]) -> None:
         if self._shapes.left_out:
             kinds = ", ".join(sorted(self._shapes.left_out))
             self._notes.append(f"of kinds that are not read, left out: {kinds}")
         following = [  # driven by another joint, for which each simulator has a schema of its own
             prim.GetName()
-            for prim in contents.joints
+            for prim in joints
             if any("Mimic" in str(name) for name in prim.GetAppliedSchemas())
         ]
         if following:

@@ -5,6 +5,7 @@ name, and the layers that it names in `resource/`.
 """
 
 import re
+from functools import partial
 from os.path import isdir
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from articugen.core.records import ArticulatedObject, Link
 from articugen.meshes import read
 from articugen.sources.folders import has_urdf, meta_category, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.usd.apart import digest_apart, read_apart
+from articugen.sources.usd.apart import apart
 from articugen.sources.usd.layers import SUFFIXES
+from articugen.sources.usd.model import digest, read_model
 
 LAYER_FOLDERS = frozenset(
     ("resource", "subusds", "configuration", "payloads", "materials", "textures")
@@ -62,7 +64,7 @@ def main_file(folder: Path) -> Path | None:
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """Read one; InvalidSource if anything is amiss with it, or OpenUSD is not installed. Else
-    raises as `apart.read_apart`."""
+    raises as `apart.apart`."""
     path = main_file(ref.location) if isdir(ref.location) else ref.location
     if path is None:
         raise InvalidSource(
@@ -72,9 +74,10 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     root = ref.root or path.parent
     if read.wanted() == "hash":
         links, joints, notes = ((Link("world", read.STAND_IN),), (), ())
-        sha256 = digest_apart(path, root)
+        sha256 = apart(partial(digest, root=root), path)
     else:
-        obj = read_apart(path, root, with_meshes=read.wanted() == "meshes")
+        with_meshes = read.wanted() == "meshes"
+        obj = apart(partial(read_model, root=root, with_meshes=with_meshes), path)
         links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in obj.links)
         joints, notes, sha256 = obj.joints, obj.notes, obj.sha256
     return ArticulatedObject(
