@@ -186,12 +186,7 @@ class Outcome(Record):
             notes=notes,
             seconds=seconds,
         )
-        shard = ShardEntry(
-            name=record.name,
-            sha256=record.sha256,
-            bytes=record.bytes,
-            instances=record.instances,
-        )
+        shard = ShardEntry.model_validate(record, from_attributes=True)
         return Outcome(made=entry, shard=shard)
 
     @property
