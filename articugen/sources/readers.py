@@ -110,7 +110,7 @@ def detect(path: Path) -> Found | None:
     """Return the model that a file or folder is, by the first reader that says so; InvalidSource
     where one fails at it."""
     for name, layout in (READERS | _TABLE.load_all()).items():
-        with _examining(name, path):
+        with _examining(path, f"the reader {name!r} cannot examine it"):
             model = layout.detect(path)
         if model:
             return replace(model, reader=name)
@@ -123,7 +123,7 @@ def find(name: str, base: Path) -> list[Found]:
     of_all = getattr(reader(name), "find", None)
     if of_all is None:
         return [model for child in visible(base) for model in find_at(name, child)]
-    with _examining(name, base):
+    with _examining(base, f"the reader {name!r} cannot examine it"):
         return [replace(model, reader=name) for model in of_all(base)]
 
 
@@ -133,23 +133,23 @@ def find_at(name: str, child: Path) -> list[Found]:
     if name not in READERS:
         return []
     more = getattr(READERS[name], "find_at", None)  # where there may be several, or other marks
-    with _examining(name, child):
+    with _examining(child, f"the reader {name!r} cannot examine it"):
         models = more(child) if more else [READERS[name].detect(child)]
         return [replace(model, reader=name) for model in models if model]
 
 
 @contextmanager
-def _examining(name: str, path: Path) -> Iterator[None]:
-    """Make a refusal of whatever nobody thought of, as the reader of that name examines `path`."""
+def _examining(path: Path, fault: str) -> Iterator[None]:
+    """Make a refusal, with that `fault`, of whatever nobody thought of as `path` is examined."""
     try:
         yield
     except (ArticugenError, MemoryError):
         raise
     except Exception as error:
         reason = printable(f"{type(error).__name__}: {error}")[:200]
+        cure = "correct it" if isinstance(error, ValueError) else "report it, please"
         raise machine_fault(error) or InvalidSource(
-            f"{printable(str(path))}: the reader {name!r} cannot examine it ({reason}); leave it "
-            "out and report it, please"
+            f"{printable(str(path))}: {fault} ({reason}); leave it out, or {cure}"
         ) from error
 
 
@@ -194,17 +194,8 @@ def _read(ref: ObjectRef) -> ArticulatedObject:
         )
     if len(ref.object_id.encode()) > MAX_NAME_BYTES:
         raise InvalidSource(f"{where}: its id has more than {MAX_NAME_BYTES} bytes; shorten names")
-    reader_of = reader(ref.reader)
-    try:
-        obj = reader_of.load(ref, ref.settings)
-    except (ArticugenError, MemoryError):
-        raise
-    except Exception as error:
-        reason = printable(f"{type(error).__name__}: {error}")[:200]
-        cure = "correct it" if isinstance(error, ValueError) else "report it, please"
-        raise machine_fault(error) or InvalidSource(
-            f"{where}: cannot be read ({reason}); leave it out, or {cure}"
-        ) from error
+    with _examining(ref.location, "cannot be read"):
+        obj = reader(ref.reader).load(ref, ref.settings)
     check_sound(obj, where)
     return replace(obj, notes=tuple(map(printable, obj.notes)))
 
@@ -212,26 +203,20 @@ def _read(ref: ObjectRef) -> ArticulatedObject:
 def check_sound(obj: ArticulatedObject, where: str) -> None:
     """Raise InvalidSource unless numbers are finite, of a size that floats can work with, and
     ranges have their ends in order, whatever reader has made them."""
+
+    def check(sound: bool, what: str, name: str, sentence: str) -> None:
+        if not sound:
+            raise InvalidSource(f"{where}: {what} {printable(name)}: {sentence}")
+
+    far = f"is not finite, or beyond {MAX_METRES:,.0f} metres; correct it"
     for link in obj.links:
-        if not (np.abs(link.mesh.vertices) <= MAX_METRES).all():
-            raise InvalidSource(
-                f"{where}: link {printable(link.name)}: a coordinate is not finite, or beyond "
-                f"{MAX_METRES:,.0f} metres; correct it"
-            )
-        faces = link.mesh.faces
-        if faces.size and not 0 <= faces.min() <= faces.max() < len(link.mesh.vertices):
-            raise InvalidSource(
-                f"{where}: link {printable(link.name)}: a face names a vertex that is not there; "
-                "correct it"
-            )
+        vertices, faces = link.mesh.vertices, link.mesh.faces
+        near = bool((np.abs(vertices) <= MAX_METRES).all())
+        check(near, "link", link.name, f"a coordinate {far}")
+        there = not faces.size or 0 <= faces.min() <= faces.max() < len(vertices)
+        check(there, "link", link.name, "a face names a vertex that is not there; correct it")
     for joint in obj.joints:
-        if not (np.abs(joint.T_parent_joint) <= MAX_METRES).all():
-            raise InvalidSource(
-                f"{where}: joint {printable(joint.name)}: where it stands is not finite, or beyond "
-                f"{MAX_METRES:,.0f} metres; correct it"
-            )
-        if not joint.lower <= joint.upper:
-            raise InvalidSource(
-                f"{where}: joint {printable(joint.name)}: its range is {joint.lower:g} to "
-                f"{joint.upper:g}; name the lesser end first"
-            )
+        near = bool((np.abs(joint.T_parent_joint) <= MAX_METRES).all())
+        check(near, "joint", joint.name, f"where it stands {far}")
+        ends = f"its range is {joint.lower:g} to {joint.upper:g}; name the lesser end first"
+        check(joint.lower <= joint.upper, "joint", joint.name, ends)
