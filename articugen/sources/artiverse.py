@@ -4,15 +4,12 @@ They lie in `data/<category>/<origin>/<id>/`. The URDF and its meshes are read; 
 masses and materials beside it are not.
 """
 
-from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
 
-from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject
-from articugen.sources.folders import ending_in
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_object
+from articugen.sources.urdf import load_shortest
 
 _FOLDER = "urdf_w_collider"
 
@@ -25,14 +22,6 @@ def detect(path: Path) -> Found | None:
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    """Read one; of several URDFs the one with the shortest name, which its notes say. Raises as
-    `urdf.load_urdf`, and where there is none."""
-    folder = ref.location / _FOLDER
-    urdfs = ending_in(folder, ".urdf")
-    if not urdfs:
-        raise InvalidSource(f"{folder}: holds no URDF; get the model again, or leave it out")
-    obj = load_object(ref, settings, urdfs[0], root=folder)
-    if len(urdfs) == 1:
-        return obj
-    others = ", ".join(path.name for path in urdfs[1:])
-    return replace(obj, notes=(*obj.notes, f"read from {urdfs[0].name}; left aside: {others}"))
+    """Read one; see `urdf.load_shortest`."""
+    missing = "holds no URDF; get the model again, or leave it out"
+    return load_shortest(ref, settings, ref.location / _FOLDER, missing)

@@ -25,7 +25,7 @@ from articugen.meshes.read import read_mesh
 from articugen.meshes.scenes import check_size
 from articugen.sources.folders import ending_in, meta_category
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
-from articugen.sources.urdf import load_object
+from articugen.sources.urdf import load_shortest
 from articugen.sources.xml_check import MAX_LINKS, MAX_NUMBER
 
 _ATTRIBUTES = "motion_attributes.json"
@@ -85,27 +85,19 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 
 
 def _load_urdf_form(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
-    folder = ref.location
-    variants = ending_in(folder, ".urdf")
-    if not variants:
-        raise InvalidSource(f"{folder}: has neither {_ATTRIBUTES} nor a .urdf file; add one")
-    obj = load_object(ref, settings, variants[0], root=folder)
-    notes = list(obj.notes)
-    if len(variants) > 1:
-        others = ", ".join(path.name for path in variants[1:])
-        notes.append(f"read from {variants[0].name}; left aside: {others}")
+    missing = f"has neither {_ATTRIBUTES} nor a .urdf file; add one"
+    obj = load_shortest(ref, settings, ref.location, missing)
     unlimited = [
         joint.name
         for joint in obj.joints
         if joint.kind == JointKind.REVOLUTE
         and np.allclose((-joint.lower, joint.upper), _NO_LIMIT, rtol=0.0, atol=1e-4)
     ]
-    if unlimited:
-        notes.append(f"limits of +-{_NO_LIMIT} taken as none: {', '.join(unlimited)}")
+    notes = (f"limits of +-{_NO_LIMIT} taken as none: {', '.join(unlimited)}",) if unlimited else ()
     joints = [
         replace(j, lower=-np.inf, upper=np.inf) if j.name in unlimited else j for j in obj.joints
     ]
-    return replace(obj, joints=tuple(joints), notes=tuple(notes))
+    return replace(obj, joints=tuple(joints), notes=(*obj.notes, *notes))
 
 
 def _load_raw(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

@@ -9,6 +9,7 @@ import io
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -24,6 +25,7 @@ from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, 
 from articugen.meshes import read
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.xml_strict import OLD_VERSION, tostring
+from articugen.sources.folders import ending_in
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.shapes import Shapes
 from articugen.sources.urdf_check import checked_robot
@@ -110,6 +112,19 @@ def load_object(
         T_world_root=settings.turn,
         **options,
     )
+
+
+def load_shortest(
+    ref: ObjectRef, settings: CategorySettings, folder: Path, missing: str
+) -> ArticulatedObject:
+    """Read the URDF in a folder, of several the one with the shortest name, which its notes say;
+    InvalidSource says what is `missing` where there is none."""
+    urdfs = ending_in(folder, ".urdf")
+    if not urdfs:
+        raise InvalidSource(f"{folder}: {missing}")
+    obj = load_object(ref, settings, urdfs[0], root=folder)
+    aside = f"read from {urdfs[0].name}; left aside: {', '.join(p.name for p in urdfs[1:])}"
+    return replace(obj, notes=(*obj.notes, aside)) if urdfs[1:] else obj
 
 
 def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
