@@ -257,14 +257,18 @@ def sha256_of(path: Path) -> str:
 
 
 def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
-    """Return a handle that keeps other runs out (or lets ranks in alone) for as long as anybody
-    holds it open.
+    """Make a folder where it is missing, and return a handle that keeps other runs out (or lets
+    ranks in alone) for as long as anybody holds it open.
 
     Raises:
         ArticugenError: another run holds one.
-        OSError: the folder cannot be opened.
+        MachineFault: the folder cannot be made or opened.
     """
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        make_folder(folder)
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise MachineFault(cannot_write(folder, error)) from error
     patience = time.monotonic() + DYING_SECONDS
     while True:
         try:

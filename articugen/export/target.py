@@ -105,11 +105,7 @@ class Target:
         self._names: set[str] = set()
         self._is_new = not folder.exists()
         self._ledger = Ledger(Folder(folder))
-        try:
-            make_folder(folder)
-            self._lock: int | None = lock_folder(folder)
-        except OSError as error:
-            raise MachineFault(cannot_write(folder, error)) from error
+        self._lock: int | None = lock_folder(folder)
         try:
             self._resume(set(os.listdir(folder)))
         except BaseException:

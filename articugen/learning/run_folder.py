@@ -236,8 +236,7 @@ class RunFolder:
         Raises:
             ArticugenError: one is at work.
         """
-        with _machine_s_faults(self.path):
-            handle = lock_folder(self.path)
+        handle = lock_folder(self.path)
         try:
             yield
         finally:

@@ -16,13 +16,7 @@ from contextlib import suppress
 from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError, MachineFault
-from articugen.core.files import (
-    cannot_write,
-    is_plain_file,
-    lock_folder,
-    make_folder,
-    read_regular,
-)
+from articugen.core.files import is_plain_file, lock_folder, read_regular
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder, Listed
 from articugen.pipeline.common import (
@@ -362,11 +356,7 @@ class Records:
         if self._folder is None:
             return
         kind = kind or (fcntl.LOCK_SH if self.is_shared else fcntl.LOCK_EX)
-        try:
-            make_folder(self._folder)
-            self._lock = lock_folder(self._folder, kind)
-        except OSError as error:
-            raise MachineFault(cannot_write(self._folder, error)) from None
+        self._lock = lock_folder(self._folder, kind)
 
     def _load(self) -> None:
         if isinstance(self.place, Bucket):

@@ -19,8 +19,8 @@ import numpy as np
 from PIL import Image
 
 from articugen.core.arrays import Floats
-from articugen.core.errors import ArticugenError, MachineFault, printable
-from articugen.core.files import UnfitFile, cannot_write, lock_folder, make_folder, whole_name
+from articugen.core.errors import ArticugenError, printable
+from articugen.core.files import UnfitFile, lock_folder, whole_name
 from articugen.core.place import Folder
 from articugen.core.processes import in_order
 from articugen.core.records import dequantize
@@ -113,11 +113,7 @@ def site(
 
 def _taken(folder: Path) -> tuple[Folder, int]:
     """Return the folder, and a lock on it, once it is known to hold a site or nothing."""
-    try:
-        make_folder(folder)
-        lock = lock_folder(folder)
-    except OSError as error:
-        raise MachineFault(cannot_write(folder, error)) from error
+    lock = lock_folder(folder)
     try:
         place, names = Folder(folder), set(os.listdir(folder))
         try:

@@ -104,11 +104,7 @@ class Target:
         self.place = Folder(folder)
         self._ledger = Ledger(self.place)
         work = self.path(WORK_NAME)
-        try:
-            make_folder(work)
-            self._lock = lock_folder(work)
-        except OSError as error:
-            raise MachineFault(cannot_write(folder, error)) from error
+        self._lock = lock_folder(work)
         try:
             self._begin(work)
         except BaseException:
