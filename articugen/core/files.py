@@ -177,13 +177,20 @@ def written_atomically(
 def check_place(path: Path) -> None:
     """Raise MachineFault where no file can be written there, before there is much work for it."""
     temporary = path.with_name(partial_name(path.name))
-    try:
+    with writing(path):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "a folder has that name")
         temporary.open("xb").close()
         temporary.unlink()
+
+
+@contextmanager
+def writing(path: Path, size: int = 0) -> Iterator[None]:
+    """Raise MachineFault where what is done within cannot write `path`, of `size` bytes."""
+    try:
+        yield
     except OSError as error:
-        raise MachineFault(cannot_write(path, error)) from error
+        raise MachineFault(cannot_write(path, error, size)) from error
 
 
 def partial_name(name: str) -> str:
@@ -264,11 +271,9 @@ def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
         ArticugenError: another run holds one.
         MachineFault: the folder cannot be made or opened.
     """
-    try:
+    with writing(folder):
         make_folder(folder)
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise MachineFault(cannot_write(folder, error)) from error
     patience = time.monotonic() + DYING_SECONDS
     while True:
         try:

@@ -19,6 +19,7 @@ from articugen.core.files import (
     sync,
     within,
     write_atomically,
+    writing,
 )
 
 R = TypeVar("R")
@@ -166,7 +167,7 @@ class Folder:
     def delete(self, names: Iterable[str]) -> None:
         folders: set[Path] = set()
         before: Path | None = None
-        try:
+        with writing(self.path):
             for name in names:
                 path = self._path(name)
                 if before not in (None, path.parent):
@@ -180,8 +181,6 @@ class Folder:
             for folder in sorted(folders, reverse=True):
                 with suppress(OSError):  # others have files in it
                     folder.rmdir()
-        except OSError as error:
-            raise MachineFault(cannot_write(self.path, error)) from None
 
     def _in_its_folder(self, name: str, data: bytes, act: Callable[[Path], R]) -> R:
         """Call `act` with the path of a file to write, once its folder is there; again where
@@ -189,11 +188,9 @@ class Folder:
         tries = _TRIES
         while True:
             try:
-                try:
+                with writing(self.path / name, len(data)):
                     path = self._path(name)
                     make_folder(path.parent)
-                except OSError as error:
-                    raise MachineFault(cannot_write(self.path / name, error, len(data))) from error
                 return act(path)
             except MachineFault as fault:
                 tries -= 1

@@ -22,16 +22,16 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from articugen.core.content import VERSION
-from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe
 from articugen.core.files import (
     UnfitFile,
-    cannot_write,
     lock_folder,
     make_folder,
     read_regular,
     sync,
     whole_name,
     write_atomically,
+    writing,
 )
 from articugen.core.yaml_files import resolved
 from articugen.learning.method import Learner, find_method, parse_recipe
@@ -284,7 +284,7 @@ class RunFolder:
             MachineFault: the disk is full, or the like.
         """
         path = self.path / METRICS
-        with _machine_s_faults(path), path.open("a", encoding="utf-8") as file:
+        with writing(path), path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
 
     @contextmanager
@@ -337,15 +337,6 @@ class RunFolder:
 
 
 @contextmanager
-def _machine_s_faults(path: Path) -> Iterator[None]:
-    """Raise MachineFault where `path` cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise MachineFault(cannot_write(path, error)) from None
-
-
-@contextmanager
 def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]]:
     """Yield what appends the numbers of a record for TensorBoard, by the names they have there;
     what was written of iterations later than `after` is dropped."""
@@ -354,13 +345,13 @@ def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None
         return
     from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - takes a second
 
-    with _machine_s_faults(folder):
+    with writing(folder):
         writer = SummaryWriter(str(folder), purge_step=after + 1)
 
     def add(record: dict[str, Any]) -> None:
         numbers = {f"{g}/{n}": x for g in GROUPS for n, x in record.get(g, {}).items()}
         numbers |= {n: record[n] for n in ("learning_rate",) if n in record}
-        with _machine_s_faults(folder):
+        with writing(folder):
             for name, value in numbers.items():
                 writer.add_scalar(name, value, record["iteration"])
             writer.flush()  # a process that is killed leaves no gap in the curve

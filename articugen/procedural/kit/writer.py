@@ -23,8 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.errors import MachineFault
-from articugen.core.files import cannot_write, make_folder, within
+from articugen.core.files import make_folder, within, writing
 from articugen.core.geometry import apply, invert_rigid, rotation_from_rpy, transform
 from articugen.core.portable import turned
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
@@ -80,12 +79,10 @@ def write_model(
     """
     contents = model_files(model, object_id=object_id, category=category, messy=messy)
     contents[TRUTH_NAME] = truth_file(model, object_id=object_id, category=category, messy=messy)
-    try:
+    with writing(folder):
         make_folder(folder)
         for name, data in contents.items():
             within(folder, name).write_bytes(data)
-    except OSError as error:
-        raise MachineFault(cannot_write(folder, error)) from error
 
 
 def truth_file(model: Model, *, object_id: str, category: str, messy: int = 0) -> bytes:

@@ -16,15 +16,8 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import TypeAdapter
 
-from articugen.core.errors import InvalidSource, MachineFault, NotFetched, printable
-from articugen.core.files import (
-    UnfitFile,
-    cannot_write,
-    lock_folder,
-    make_folder,
-    whole_name,
-    within,
-)
+from articugen.core.errors import InvalidSource, NotFetched, printable
+from articugen.core.files import UnfitFile, lock_folder, make_folder, whole_name, within, writing
 from articugen.core.ledger import Ledger
 from articugen.core.place import Folder
 from articugen.sources.fetch.archives import Unpacked, unpack
@@ -132,10 +125,8 @@ class Target:
     def path(self, name: str) -> Path:
         """Return the path of something of that name in the folder, to be written; MachineFault
         where a symbolic link leads there."""
-        try:
+        with writing(self.folder / name):
             return within(self.folder, name)
-        except UnfitFile as error:
-            raise MachineFault(cannot_write(self.folder / name, error)) from error
 
     def lacks(self, place: PurePosixPath, archive_sha256: str | None, name: str) -> bool:
         """Return whether a model is to be fetched: it is not there whole, from just that archive
@@ -211,7 +202,7 @@ class Target:
         aside."""
         to, source = self.folder / place, self.terms.source
         receipt = Receipt(source, archive, model.sha256, model.sizes, *_read(model.folder, place))
-        try:
+        with writing(to):
             make_folder(to.parent)
             if to.exists():
                 aside = self.path(f"{_ASIDE}/{secrets.token_hex(4)}/{place}")
@@ -220,8 +211,6 @@ class Target:
                 self._notice(f"{to}: was of another version, or had changed; it is in {aside} now")
             self._record(place, receipt)
             model.folder.rename(to)
-        except OSError as error:
-            raise MachineFault(cannot_write(to, error)) from error
         self._new += 1
 
     def _record(self, place: PurePosixPath, receipt: Receipt) -> None:

@@ -18,8 +18,8 @@ from threading import Event
 from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
-from articugen.core.errors import AccessRefused, MachineFault, NotFetched, printable
-from articugen.core.files import cannot_write, sha256_of
+from articugen.core.errors import AccessRefused, NotFetched, printable
+from articugen.core.files import sha256_of, writing
 
 MAX_FILE_BYTES = 4 * 2**30  # of a file, whatever size its publisher states
 
@@ -151,7 +151,7 @@ class Server:
         """
         if (file.size or 0) > MAX_FILE_BYTES:
             raise self._not_fetched(file.address, _TOO_LARGE)
-        try:
+        with writing(to, file.size or 0):
             to.parent.mkdir(parents=True, exist_ok=True)
             if file.sha256 is None:
                 to.unlink(missing_ok=True)
@@ -163,8 +163,6 @@ class Server:
                     "came with another digest than its publisher states; try again, and report "
                     "it to them if it stays so",
                 )
-        except OSError as error:
-            raise MachineFault(cannot_write(to, error, file.size or 0)) from error
 
     def _continue(self, file: Published, to: Path) -> None:
         """Ask for what is missing of a file and append it."""
