@@ -23,9 +23,7 @@ from articugen.pipeline.folder import is_temporary
 from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.run import started
 from articugen.sources import readers
-from articugen.store import croissant
-from articugen.store.manifest import Manifest, content_of
-from articugen.store.outcome import Rejection
+from articugen.store.manifest import Manifest
 from articugen.verify.dataset import verify
 
 whole, mine, boxes = test_pipeline.whole, test_pipeline.mine, test_pipeline.boxes
@@ -52,27 +50,6 @@ def test_a_fault_of_ours_ends_no_run_and_is_tried_again(boxes, tmp_path, monkeyp
     assert sum(r.reused for r in reports) == 3
     assert (len(manifest.objects), manifest.failed, manifest.shortfall) == (4, (), None)
     assert verify(ours.out).findings == ()
-
-
-def test_rejections_that_earlier_versions_wrote_over_our_faults_are_tried_again(mine, whole):
-    manifest = Manifest.read(mine)
-    *objects, last = manifest.objects
-    reason = "internal error, please report it: MemoryError: "
-    told = {name: getattr(manifest, name) for name in Manifest.model_fields} | {
-        "objects": tuple(objects),
-        "shards": tuple(s for s in manifest.shards if s.name != last.shard),
-        "rejected": (Rejection(key=last.key, reason=reason),),
-        "content_sha256": content_of(objects),
-    }
-    del told["manifest_sha256"]
-    earlier = Manifest.sealed(**told)
-    earlier.write(mine)
-    (mine / croissant.NAME).write_bytes(croissant.of_data_set(earlier))
-    (mine / last.shard).unlink()
-    assert [finding.check for finding in verify(mine).findings] == ["incomplete"]
-    assert [t.ref.object_id for t in planned(job(mine)).tasks] == [last.key.object_id]
-    made(job(mine))
-    assert contents(mine) == contents(whole)
 
 
 @pytest.mark.parametrize(

@@ -138,6 +138,6 @@ def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
     except ValidationError:
         return None
     shard = outcome.shard
-    if outcome.fault is not None or key.difference(outcome.key):
+    if outcome.failed is not None or key.difference(outcome.key):
         return None
     return outcome if not shard or bucket.size(shard.name) == shard.bytes else None

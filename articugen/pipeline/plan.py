@@ -181,7 +181,7 @@ def plan_recorded(
     def check(ref: ObjectRef) -> tuple[Key, str | None]:
         outcome = records.outcomes.get(name_of_ref(ref))
         key = _key(job, ref, outcome.key.ref if outcome else "unknown", generator)
-        return key, None if outcome and outcome.fault else records.why(key)
+        return key, None if outcome and outcome.failed else records.why(key)
 
     done, tasks, keys = list[Outcome](), list[Task](), list[Key]()
     with ThreadPoolExecutor(max(1, job.jobs)) as pool:

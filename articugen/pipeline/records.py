@@ -142,7 +142,7 @@ class Records:
         wanted = list(names)
         if self._folder is None:
             known = {name: self.outcomes.get(name) for name in wanted}
-            wanted = [n for n, o in known.items() if not o or o.fault or not self._is_trusted(o)]
+            wanted = [n for n, o in known.items() if not o or o.failed or not self._is_trusted(o)]
         self._add(self.ledger.known(map(key_of, wanted)).values())
 
     def why(self, key: Key) -> str | None:
@@ -151,8 +151,8 @@ class Records:
         if outcome is None:
             is_damaged = self.ledger.is_damaged(key_of(key.name))
             return "its record is damaged" if is_damaged else NEVER_MADE
-        if outcome.fault is not None:
-            return f"it failed ({outcome.fault.reason})"
+        if outcome.failed is not None:
+            return f"it failed ({outcome.failed.reason})"
         difference = key.difference(outcome.key)
         if difference is not None or outcome.shard is None:
             return difference
@@ -409,7 +409,7 @@ class Records:
             with suppress(ValidationError):  # of another version: it says nothing
                 outcome = Outcome.model_validate_json(text)
                 known = self.outcomes.get(outcome.key.name)
-                if known is None or known.fault or not outcome.fault:
+                if known is None or known.failed or not outcome.failed:
                     self._has_news = self._has_news or outcome != known
                     self.outcomes[outcome.key.name] = outcome
 

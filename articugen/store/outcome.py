@@ -116,9 +116,6 @@ class ObjectEntry(_Entry):
     seconds: float = Field(0.0, ge=0.0)
 
 
-_OUR_FAULT = "internal error, please report it: "
-
-
 class Rejection(Record):
     """An object that is not in the data, and why: one sentence; `over` is the recipe's limit that
     it exceeded, key and value, else ()."""
@@ -136,7 +133,8 @@ class Rejection(Record):
     @staticmethod
     def of_fault(key: Key, error: Exception) -> "Rejection":
         """Return the rejection for a fault of our code, which says nothing about the object."""
-        return Rejection(key=key, reason=printable(f"{_OUR_FAULT}{type(error).__name__}: {error}"))
+        what = f"internal error, please report it: {type(error).__name__}: {error}"
+        return Rejection(key=key, reason=printable(what))
 
 
 class Outcome(Record):
@@ -194,11 +192,3 @@ class Outcome(Record):
         entry = self.made or self.rejected or self.skipped or self.failed
         assert entry is not None  # _is_one_of_four has seen to it
         return entry.key
-
-    @property
-    def fault(self) -> Rejection | None:
-        """Rejection where the object says nothing about itself and is tried again, whatever its
-        key."""
-        if self.rejected and self.rejected.reason.startswith(_OUR_FAULT):
-            return self.rejected  # so earlier versions wrote it
-        return self.failed

@@ -170,11 +170,10 @@ def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
         instances >= most + 0.5 or abs(instances - round(instances)) > 1e-6 * max(instances, 1.0)
     ):
         yield Finding("manifest", "timings give a number of instances that cannot be")
-    unfinished = [outcome.fault for outcome in manifest.outcomes if outcome.fault]
-    for fault in unfinished:
-        sentence = f"is not in the data, and will be tried again: {fault.reason}"
-        yield Finding("incomplete", sentence, object_id=fault.key.object_id)
-    if manifest.shortfall and not unfinished:
+    for failed in manifest.failed:
+        sentence = f"is not in the data, and will be tried again: {failed.reason}"
+        yield Finding("incomplete", sentence, object_id=failed.key.object_id)
+    if manifest.shortfall and not manifest.failed:
         yield Finding("incomplete", manifest.shortfall)
     yield from _splits(manifest)
 
