@@ -119,12 +119,6 @@ def within(folder: Path, name: str) -> Path:
     return path
 
 
-def check_regular(path: Path) -> None:
-    """Raise an OSError if a library that opens this would wait for a writer, or finds nothing."""
-    status = os.stat(path)
-    _check_regular(status, status.st_size)
-
-
 def _check_regular(status: os.stat_result, most_bytes: int) -> None:
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "a device")

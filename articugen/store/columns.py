@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import CorruptShard
-from articugen.core.files import UnfitFile, check_regular
+from articugen.core.files import UnfitFile, open_regular
 from articugen.core.schema import MAX_TEXT, Field
 from articugen.store import chunks
 from articugen.store.bucket import Remote
@@ -80,7 +81,7 @@ def opened(path: Path | Remote) -> h5py.File:
     try:
         if isinstance(path, Remote):
             return h5py.File(RangeFile(path), "r")
-        check_regular(path)
+        open_regular(path, sys.maxsize).close()  # HDF5 would wait for a FIFO's writer
         return h5py.File(path, "r", locking=False)
     except UnfitFile as error:
         raise CorruptShard(f"{path}: {error.strerror}; move it away") from None
