@@ -396,7 +396,7 @@ def test_many_shapes_are_counted_before_any_is_made(tmp_path, monkeypatch):
     """5,000 spheres took 99 s and 4.8 GB."""
     monkeypatch.setattr("articugen.meshes.read.sphere", lambda radius: pytest.fail("made"))
     spheres = ['<sphere radius="1"/>'] * 5001
-    with pytest.raises(InvalidSource, match=r"more than 1,000,000 triangles .*use fewer shapes"):
+    with pytest.raises(InvalidSource, match=r"more than 1,000,000 triangles .*simplify it"):
         read(tmp_path, shown(*spheres[:300]))
     with pytest.raises(InvalidSource, match="5,001 visuals, at most 5,000 are read"):
         read(tmp_path, shown(*spheres))
@@ -404,7 +404,7 @@ def test_many_shapes_are_counted_before_any_is_made(tmp_path, monkeypatch):
 
 def test_a_mesh_that_many_visuals_show_counts_each_time(tmp_path, monkeypatch):
     (tmp_path / "t.obj").write_text("v 0 0 0\n" * 500 + TRIANGLE)
-    monkeypatch.setattr("articugen.sources.shapes.MAX_OBJECT_VERTICES", 1000)
+    monkeypatch.setattr("articugen.meshes.scenes.MAX_VERTICES", 1000)
     with pytest.raises(InvalidSource, match="or 1,000 vertices; simplify"):
         read(tmp_path, shown(*['<mesh filename="t.obj"/>'] * 2))
 
@@ -413,7 +413,7 @@ def test_limits_on_size(tmp_path, monkeypatch):
     monkeypatch.setattr(urdf_check, "MAX_LINKS", 2)
     with pytest.raises(InvalidSource, match="at most 2 are read"):
         read(tmp_path, links("a", "b", "c"))
-    monkeypatch.setattr("articugen.sources.shapes.MAX_OBJECT_FACES", 20)
+    monkeypatch.setattr("articugen.meshes.scenes.MAX_FACES", 20)
     with pytest.raises(InvalidSource, match="more than 20 triangles"):
         read(tmp_path, links("a", "b") + joint("j", "a", "b"))
     monkeypatch.setattr("articugen.sources.urdf.MAX_TEXT_BYTES", 99)

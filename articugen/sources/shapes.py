@@ -11,14 +11,11 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply
 from articugen.core.records import Mesh
-from articugen.meshes import read, scenes
+from articugen.meshes import read
 from articugen.meshes.looks import GREY, in_bytes, rgb_of, wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
+from articugen.meshes.scenes import check_size
 from articugen.sources.xml_check import MAX_NUMBER
-
-MAX_OBJECT_FACES = scenes.MAX_FACES
-MAX_OBJECT_VERTICES = scenes.MAX_VERTICES
-"""Of all visuals of an object: a small file can name one large mesh many times."""
 
 
 def joined(shapes: Iterable[Mesh]) -> Mesh:
@@ -48,7 +45,7 @@ class Shapes:
         self._path, self._files = path, files
         self._faces = self._vertices = 0
         self._cache: dict[Path, Mesh] = {}
-        self._check_size(sum(read.PRIMITIVE_FACES.get(kind, 0) for kind in kinds), 0)
+        check_size(path, faces=sum(read.PRIMITIVE_FACES.get(kind, 0) for kind in kinds))
 
     def link(self, by: str, shapes: Iterable[tuple[Mesh, Any, Floats]]) -> Mesh:
         """Put a link together of shapes, each with its element, whose rgba a mesh without colours
@@ -70,7 +67,8 @@ class Shapes:
     def _placed(self, by: str, shape: Mesh, element: Any, T: Floats) -> Mesh:
         self._faces += len(shape.faces)
         self._vertices += len(shape.vertices)
-        self._check_size(self._faces, self._vertices)
+        # all visuals together: a small file can name one large mesh many times
+        check_size(self._path, faces=self._faces, vertices=self._vertices)
         vertices = apply(T, shape.vertices)
         if not (np.abs(vertices) <= MAX_NUMBER).all():
             raise InvalidSource(
@@ -79,10 +77,3 @@ class Shapes:
             )
         rgba = element.get("rgba", "").split()[:3] if wanted_looks() else ()
         return painted(replace(shape, vertices=vertices), rgb_of(rgba))
-
-    def _check_size(self, faces: int, vertices: int) -> None:
-        if faces > MAX_OBJECT_FACES or vertices > MAX_OBJECT_VERTICES:
-            raise InvalidSource(
-                f"{self._path}: its visuals have more than {MAX_OBJECT_FACES:,} triangles or "
-                f"{MAX_OBJECT_VERTICES:,} vertices; simplify its meshes or use fewer shapes"
-            )
