@@ -1,5 +1,6 @@
 """What readers find and are given: where an object lies, and what its source says of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,6 +10,7 @@ from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
 from articugen.core.arrays import Floats
 from articugen.core.geometry import rotation_about, transform
+from articugen.core.records import ArticulatedObject, Joint, Link
 from articugen.core.yaml_files import Section
 
 NO_LICENCE = "not stated"  # of models that no source.yaml describes
@@ -133,6 +135,16 @@ class ObjectRef:
     varied: bool = False
     licence: str = NO_LICENCE
     settings: CategorySettings = CategorySettings()  # noqa: RUF009 - it is frozen
+
+    def object_of(
+        self, settings: CategorySettings, links: Sequence[Link], joints: Sequence[Joint],
+        sha256: str, notes: Sequence[str],
+    ) -> ArticulatedObject:  # fmt: skip
+        """Return the object that its reader has found so: see `ArticulatedObject`."""
+        return ArticulatedObject(
+            self.object_id, self.category, tuple(links), tuple(joints), settings.turn, sha256,
+            self.source, tuple(notes),
+        )  # fmt: skip
 
     @property
     def forms(self) -> tuple[str, ...]:

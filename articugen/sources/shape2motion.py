@@ -125,16 +125,8 @@ def _load_raw(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         joints.append(_joint(dof, parent, center - parent_center, path))
         faces += len(links[-1].mesh.faces)
         check_size(folder, faces=faces)
-    return ArticulatedObject(
-        object_id=ref.object_id,
-        category=ref.category,
-        links=tuple(links),
-        joints=tuple(joints),
-        T_world_root=settings.turn,
-        sha256=files.sha256(),
-        source=ref.source,
-        notes=_unused_parts(folder, links),
-    )
+    notes = _unused_parts(folder, links)
+    return ref.object_of(settings, links, joints, files.sha256(), notes)
 
 
 def _walk(dof: _Dof, center: Floats | None = None) -> Iterator[tuple[_Dof, str, Floats]]:

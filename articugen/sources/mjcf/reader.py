@@ -34,16 +34,8 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     model = Model(ref.location, files)
     if not any(len(mesh.faces) for mesh in model.links.values()):
         raise InvalidSource(f"{ref.location}: shows no geom; add one, or name the main file")
-    return ArticulatedObject(
-        object_id=ref.object_id,
-        category=ref.category,
-        links=tuple(Link(name, mesh) for name, mesh in model.links.items()),
-        joints=tuple(model.joints),
-        T_world_root=settings.turn,
-        sha256=files.sha256(),
-        source=ref.source,
-        notes=tuple(model.notes),
-    )
+    links = [Link(name, mesh) for name, mesh in model.links.items()]
+    return ref.object_of(settings, links, model.joints, files.sha256(), model.notes)
 
 
 def _is_main(path: Path) -> bool:

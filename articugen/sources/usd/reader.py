@@ -9,8 +9,6 @@ from functools import partial
 from os.path import isdir
 from pathlib import Path
 
-import numpy as np
-
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject, Link
 from articugen.meshes import read
@@ -80,16 +78,7 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         obj = apart(partial(read_model, root=root, with_meshes=with_meshes), path)
         links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in obj.links)
         joints, notes, sha256 = obj.joints, obj.notes, obj.sha256
-    return ArticulatedObject(
-        object_id=ref.object_id,
-        category=ref.category,
-        links=links,
-        joints=joints,
-        T_world_root=np.array(settings.turn),
-        sha256=sha256,
-        source=ref.source,
-        notes=notes,
-    )
+    return ref.object_of(settings, links, joints, sha256, notes)
 
 
 def _is_of_another(path: Path) -> bool:
