@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import test_pipeline
 from bucket_server import BUCKET, Trouble, bucket_server
 from command_line import run as articugen
-from test_pipeline import TINY, contents, job, made
+from test_pipeline import TINY, contents, job
 
 import articugen as ag
 from articugen.core.errors import (
@@ -39,6 +40,8 @@ obstore = pytest.importorskip("obstore", reason="obstore is not installed")
 pytest.importorskip("obstore.store")
 pytest.importorskip("flask_cors", reason="moto's server is not installed")
 
+whole = test_pipeline.whole
+
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Trouble]:
@@ -46,14 +49,6 @@ def server() -> Iterator[Trouble]:
         patch.setattr(bucket_module, "PAUSE", 0.01)
         patch.setattr(pipeline, "POLL_SECONDS", 0.2)
         yield trouble
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four eyeglasses on the disk. Look, do not touch."""
-    out = tmp_path_factory.mktemp("whole") / "eyeglasses"
-    made(job(out))
-    return out
 
 
 @pytest.fixture(scope="module")

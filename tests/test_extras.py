@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import changed, edited
+from instances import changed, edited, put
 from scipy.spatial import cKDTree
 
 import articugen as ag
@@ -318,13 +318,6 @@ def test_a_pair_that_overlaps_when_closed_counts_where_it_is_deeper():
 def test_sound_instances_have_no_faults(apart):
     rows, recipe = apart
     assert list(invariants.faults(rows, recipe)) == []
-
-
-def put(index, value):
-    def edit(array):
-        array[index] = value
-
-    return edit
 
 
 FAULTS = {

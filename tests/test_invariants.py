@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import RICH, SMALL, changed, edited, hinged_box
+from instances import RICH, SMALL, changed, edited, hinged_box, put
 from test_manifest import STATES
 
 from articugen.core.geometry import voxel_centres
@@ -57,13 +57,6 @@ def test_default_recipe_and_an_empty_one_are_sound():
 def test_any_joint_states_are_sound(states, seed):
     rows = hinged_box([(0.0, 0.0), *states], seed=seed)
     assert list(invariants.faults(rows, SMALL)) == []
-
-
-def put(index, value):
-    def edit(array):
-        array[index] = value
-
-    return edit
 
 
 def grids(row: Instance, edit) -> Instance:

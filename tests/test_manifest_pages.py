@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_ledger import Killed
 from test_manifest import keys, names_in, run
 from test_pipeline import contents, job, made, planned
 from test_ranks import rank
@@ -34,14 +35,17 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(manifest, "PAGE_ENTRIES", 2)
 
 
+def in_pages(folder: Path, **changes: object) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(manifest, "PAGE_ENTRIES", 2)
+        made(job(folder / "eyeglasses", **changes))
+    return folder / "eyeglasses"
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four eyeglasses, two a page. Look, do not touch."""
-    out = tmp_path_factory.mktemp("whole") / "eyeglasses"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(manifest, "PAGE_ENTRIES", 2)
-        made(job(out))
-    return out
+    return in_pages(tmp_path_factory.mktemp("whole"))
 
 
 @pytest.fixture
@@ -53,11 +57,7 @@ def folder(whole: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same of another seed."""
-    out = tmp_path_factory.mktemp("other") / "eyeglasses"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(manifest, "PAGE_ENTRIES", 2)
-        made(job(out, seed=1))
-    return out
+    return in_pages(tmp_path_factory.mktemp("other"), seed=1)
 
 
 def pages(folder: Path) -> list[str]:
@@ -106,10 +106,6 @@ def test_ranks_are_merged_into_pages(whole: Path, tmp_path: Path) -> None:
     assert Manifest.read(out) == merged
     assert len(pages(out)) == 2
     assert verify(out).findings == ()
-
-
-class Killed(BaseException):
-    pass
 
 
 @contextmanager

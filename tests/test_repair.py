@@ -7,10 +7,10 @@ import signal
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
 from command_line import run
 from python_process import ended
+from test_verify import add_scores
 from trouble import held_by_another_run
 
 import articugen as ag
@@ -176,11 +176,6 @@ def test_numbers_that_are_wrong_in_a_sound_file_stay_wrong(folder):
     before = contents(folder)
     assert list(repair(folder, Report((odd,), 3, 6), jobs=0)) == []
     assert contents(folder) == before
-
-
-def add_scores(path: Path) -> None:
-    with h5py.File(path, "r+") as shard:
-        shard["user/score"] = np.arange(2.0)
 
 
 def scores(path: Path) -> list[float]:

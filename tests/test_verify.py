@@ -21,7 +21,7 @@ from PIL import Image
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
-from test_manifest import STATES, TIMINGS, attributes, key, keys, make, manifest_of, records_in
+from test_manifest import STATES, attributes, key, keys, make, manifest_of, records_in
 
 import articugen as ag
 from articugen.cli import saying
@@ -29,7 +29,7 @@ from articugen.core.errors import CorruptShard
 from articugen.core.files import partial_name
 from articugen.core.ledger import LEDGER
 from articugen.pictures import layout
-from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.manifest import MANIFEST_NAME
 from articugen.store.outcome import Outcome, Rejection
 from articugen.store.writer import write_shard
 from articugen.verify import dataset as verification
@@ -374,14 +374,12 @@ def test_shards_swapped(folder):
     assert {check for _, check in found(verify(folder))} == {"checksum", "content"}
 
 
-def _remade(folder: Path, outcome: Outcome) -> None:
-    """A manifest that tells of this outcome alone: files and digests in order."""
-    recipe = SMALL.text()
+def _remade(folder: Path, rows, about) -> None:
+    """A data set of one shard, of these instances: files and digests in order."""
     for path in folder.glob("*.h5"):
-        if outcome.shard and path.name != outcome.shard.name:
-            path.unlink()
-    about = {"category": "box", "source": "tests", "licence": "MIT", "seed": 0}
-    Manifest.of([outcome], recipe=recipe, timings=TIMINGS, **about).write(folder)
+        path.unlink()
+    record = write_shard(folder / "train-00000.h5", rows, about)
+    manifest_of([Outcome.of_shard(key(), record, input_sha256="f" * 64)]).write(folder)
 
 
 @pytest.mark.parametrize(
@@ -391,8 +389,7 @@ def _remade(folder: Path, outcome: Outcome) -> None:
 def test_shard_of_another_data_set(folder, attribute):
     other = {"seed": 5, "split": "another"}.get(attribute, "{}")
     about = attributes(key()) | {attribute: other}
-    record = write_shard(folder / "train-00000.h5", hinged_box(STATES), about)
-    _remade(folder, Outcome.of_shard(key(), record, input_sha256="f" * 64))
+    _remade(folder, hinged_box(STATES), about)
     assert found(verify(folder)) == {("train-00000.h5", "attributes")}
 
 
@@ -401,8 +398,7 @@ def test_fault_in_an_intact_file(folder):
     rows = list(hinged_box(STATES))
     rows[1] = edited(rows[1], "joint_state", lambda q: q + 1e-5)
     rows[0] = changed(rows[0], scale=np.nan)
-    record = write_shard(folder / "train-00000.h5", rows, attributes(key()))
-    _remade(folder, Outcome.of_shard(key(), record, input_sha256="f" * 64))
+    _remade(folder, rows, attributes(key()))
     report = verify(folder)
     told = {(f.object_id, f.state_index, f.check) for f in report.findings}
     assert ("box-0", 1, "motion") in told
@@ -413,9 +409,7 @@ def test_object_in_two_splits(folder):
     with records_in(folder) as records:
         outcomes = [o for k in keys() if (o := records.finished(k))]
     twice = key("box-0", "test")
-    outcomes.append(make(folder, twice, "test-00001.h5"))
-    about = {"category": "box", "source": "tests", "licence": "MIT", "seed": 0}
-    Manifest.of(outcomes, recipe=SMALL.text(), timings=TIMINGS, **about).write(folder)
+    manifest_of([*outcomes, make(folder, twice, "test-00001.h5")]).write(folder)
     report = verify(folder)
     assert [f.check for f in report.findings] == ["splits"]
     assert "is in test and in train" in str(report.findings[0])
