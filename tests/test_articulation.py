@@ -42,7 +42,7 @@ def joint(name, kind="revolute", *, parent="base", at=(0, 0, 0), axis=Z, limits=
     """A joint `name` to a link of the same name."""
     T = at if np.shape(at) == (4, 4) else transform(translation=at)
     lower, upper = limits
-    kind = JointKind.named(kind)
+    kind = JointKind[kind.upper()]
     return Joint(name, kind, parent, name, np.asarray(T), np.asarray(axis), lower, upper, **more)
 
 

@@ -26,7 +26,7 @@ TRIANGLE = Mesh(np.eye(3), np.array([[0, 1, 2]]))
 
 
 def joint(name: str, kind: str, parent: str, child: str) -> Joint:
-    return Joint(name, JointKind.named(kind), parent, child, np.eye(4), np.array([0.0, 0.0, 1.0]))
+    return Joint(name, JointKind[kind.upper()], parent, child, np.eye(4), np.array([0.0, 0.0, 1.0]))
 
 
 def cabinet() -> ArticulatedObject:
@@ -44,7 +44,7 @@ def cabinet() -> ArticulatedObject:
 
 def test_joint_kinds_have_the_words_of_urdf_and_the_numbers_of_shards() -> None:
     assert [f"{kind}" for kind in JointKind] == ["fixed", "revolute", "continuous", "prismatic"]
-    assert all(JointKind.named(str(kind)) is kind for kind in JointKind)
+    assert all(JointKind[str(kind).upper()] is kind for kind in JointKind)
     stored = {str(kind): np.uint8(kind.stored) for kind in JointKind}
     assert stored == {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2}
 

@@ -33,11 +33,6 @@ class JointKind(IntEnum):
     def __str__(self) -> str:
         return self.name.lower()
 
-    @staticmethod
-    def named(word: str) -> "JointKind":
-        """Return the kind that URDF calls `word`; KeyError where there is none."""
-        return JointKind[word.upper()]
-
 
 STORED_KINDS = (JointKind.REVOLUTE, JointKind.PRISMATIC)
 """What a shard may say of a joint, all of which move."""

@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from articugen.core.errors import ArticugenError
 from articugen.core.ledger import Ledger
-from articugen.core.recipe import Recipe
 from articugen.store.bucket import Bucket
 from articugen.store.outcome import Key, Outcome, Sha256
 
@@ -63,11 +62,6 @@ class CommonPlan(BaseModel):
                 f"{place}: other ranks make another data set here (another {', '.join(other)}), "
                 f"by: {theirs.command}; do as they do, or choose another output folder"
             )
-
-    def recipe_of_objects(self) -> str:
-        """Return the digest that its shards have of their recipe; "" of another version's."""
-        recipe = Recipe.of_text(self.recipe)
-        return recipe.for_one_object().sha256() if recipe else ""
 
 
 def listing_of(names: Iterable[Name]) -> str:

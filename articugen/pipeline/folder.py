@@ -7,6 +7,7 @@ from pathlib import Path
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
 from articugen.core.files import is_plain_file, whole_name
 from articugen.core.ledger import LEDGER
+from articugen.core.recipe import Recipe
 from articugen.pipeline.common import CommonPlan
 from articugen.store.croissant import NAME as CROISSANT_NAME
 from articugen.store.manifest import MANIFEST_NAME
@@ -35,8 +36,9 @@ def is_shard_of_ours(folder: Path, name: str, about: CommonPlan | None = None) -
         return False
     wanted: dict[str, str | int] = {"split": called["split"]}
     if about:
+        recipe = Recipe.of_text(about.recipe)  # None where it is of another version
         wanted |= {"category": about.category, "seed": about.seed}
-        wanted["recipe_sha256"] = about.recipe_of_objects()
+        wanted["recipe_sha256"] = recipe.for_one_object().sha256() if recipe else ""
     try:
         with open_shard(folder / name) as shard:
             return all(shard.attributes[key] == value for key, value in wanted.items())

@@ -72,7 +72,8 @@ def make_object(job: Job, folder: Path, task: Task, check: Check | None = None) 
     except Exception as error:  # an object must not take the others down with it
         verdict = verdict_on(error, task.ref, job.recipe)
         if verdict is None:
-            return Outcome(failed=Rejection.of_fault(task.key, error))
+            what = f"internal error, please report it: {type(error).__name__}: {error}"
+            return Outcome(failed=Rejection(key=task.key, reason=printable(what)))
         if _is_other(task, source_digest(job.recipe, task.ref)):
             return _changed(task)
         unmade = _unmade(task.key, verdict)

@@ -35,11 +35,6 @@ from articugen.sources.splits import assign_splits, split_sizes, take
 Counts = Callable[[ObjectRef], bool]
 
 
-def all_count(_: ObjectRef) -> bool:
-    """Return that any object will be in the data."""
-    return True
-
-
 @dataclass(frozen=True)
 class Source:
     """A named source, or a folder or file that no source.yaml describes.
@@ -114,7 +109,7 @@ class Source:
         ids: Collection[str] = (),
         exclude: Collection[str] = (),
         joints: Collection[str] = (),
-        counts: Counts = all_count,
+        counts: Counts = lambda _: True,
     ) -> tuple[ObjectRef, ...]:
         """Return the objects of one category, in a fixed order.
 
@@ -222,7 +217,7 @@ class Source:
         category: str,
         objects: int | None,
         ids: Collection[str],
-        counts: Counts = all_count,
+        counts: Counts = lambda _: True,
     ) -> list[ObjectRef]:
         """Return all objects of a category; of one whose objects are made, that number of them and
         those called `ids`."""
@@ -244,7 +239,7 @@ class Source:
         self,
         models: Sequence[Found],
         category: str,
-        counts: Counts = all_count,
+        counts: Counts = lambda _: True,
     ) -> list[ObjectRef]:
         """Return objects with their splits; those that the category's lists leave out are not."""
         sorted_models = sorted(listing.distinct(models, self.folder), key=lambda f: f.object_id)

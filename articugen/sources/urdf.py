@@ -178,7 +178,7 @@ def _topological(joints: list[Any]) -> list[Any]:
 
 
 def _joint(joint: Any, origin: Floats) -> Joint:
-    kind = JointKind.named(joint.type)
+    kind = JointKind[joint.type.upper()]
     lower, upper = _limits(joint)
     axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     if kind != JointKind.FIXED:

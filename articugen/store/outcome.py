@@ -6,7 +6,6 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from articugen.core.errors import printable
 from articugen.core.files import sha256_of
 from articugen.core.schema import SPLIT
 from articugen.store.shards import ShardRecord, content_sha256
@@ -129,12 +128,6 @@ class Rejection(Record):
         """The object's name, once, and the reason."""
         name = self.key.object_id
         return self.reason if self.reason.startswith(f"{name}:") else f"{name}: {self.reason}"
-
-    @staticmethod
-    def of_fault(key: Key, error: Exception) -> "Rejection":
-        """Return the rejection for a fault of our code, which says nothing about the object."""
-        what = f"internal error, please report it: {type(error).__name__}: {error}"
-        return Rejection(key=key, reason=printable(what))
 
 
 class Outcome(Record):

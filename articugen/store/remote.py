@@ -106,12 +106,6 @@ class RangeFile(io.RawIOBase):
             raise FileNotFoundError(2, "No such file or directory", file.url)
         self.size, self.stamp, self._blocks = size, (size,), dict[int, bytes]()
 
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self.size}[whence]
         return self._at

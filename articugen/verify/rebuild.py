@@ -8,7 +8,7 @@ the same, which proves source, recipe, seed and code at once.
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -75,7 +75,12 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     looked = processes.in_order(partial(_witness, folder), names, workers=wide)
     whole = {name: witness for name, witness in zip(names, looked, strict=True) if witness}
     about, known = _common(whole), _said(folder)
-    kept = {o.shard.name: o for o in _made_in(known, about) if o.shard}
+    shards = {shard.name: shard for shard in _entries(known, "shards", ShardEntry)}
+    kept = {  # what a damaged manifest still says of objects that were made, if it fits the shards
+        entry.shard: Outcome(made=entry, shard=shards[entry.shard])
+        for entry in _entries(known, "objects", ObjectEntry)
+        if entry.shard in shards and _is_of(entry.key, about)
+    }
     outcomes = {name: o for name, o in kept.items() if _agrees(o, whole.get(name))}
     alone = [witness for name, witness in whole.items() if name not in outcomes]
     proven = processes.in_order(
@@ -156,14 +161,6 @@ def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
                     "elsewhere that do not belong here"
                 )
     return witness.about
-
-
-def _made_in(known: dict[str, Any], about: Mapping[str, Attribute]) -> Iterator[Outcome]:
-    """Yield what a damaged manifest still says of objects that were made, if it fits the shards."""
-    shards = {shard.name: shard for shard in _entries(known, "shards", ShardEntry)}
-    for entry in _entries(known, "objects", ObjectEntry):
-        if entry.shard in shards and _is_of(entry.key, about):
-            yield Outcome(made=entry, shard=shards[entry.shard])
 
 
 def _said(folder: Path) -> dict[str, Any]:
