@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import KW_ONLY, dataclass
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any, Generic, TypeVar, cast
@@ -228,7 +228,7 @@ class _Worker:
 
 
 @dataclass(eq=False)
-class Crew(Generic[T, R]):
+class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
     """Workers for one function; as a context, at whose end all of them are dismissed.
 
     Attributes:
@@ -261,9 +261,6 @@ class Crew(Generic[T, R]):
         self._idle: list[_Worker] = []
         self._waiting: deque[int] = deque()
         self._alone: deque[int] = deque()
-
-    def __enter__(self) -> "Crew[T, R]":
-        return self
 
     def __exit__(self, *_: object) -> None:
         for worker in self._at_work + self._idle:

@@ -11,7 +11,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 
 from pydantic import ValidationError
 
@@ -47,7 +47,7 @@ _BEFORE = f"{LEDGER}/{MANIFEST_NAME}"
 """The manifest of what was there before a run began that may replace it."""
 
 
-class Records:
+class Records(AbstractContextManager["Records"]):
     """Records of a place, and of a run in it.
 
     Nothing is believed that is not there as it was recorded: a shard in a folder counts only with
@@ -106,9 +106,6 @@ class Records:
             except BaseException:
                 self.close()
                 raise
-
-    def __enter__(self) -> "Records":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

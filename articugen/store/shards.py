@@ -6,7 +6,7 @@
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -102,7 +102,7 @@ def handle_of(path: Path | Remote) -> Handle:
     return RangeFile(path) if isinstance(path, Remote) else _Handle(path)
 
 
-class Shard:
+class Shard(AbstractContextManager["Shard"]):
     """A shard that is open for reading; made by `open_shard`.
 
     HDF5 has closed it by then: threads may share it, it survives a fork, and it can be sent to
@@ -133,9 +133,6 @@ class Shard:
                 file.close()
         shapes = {name: column.shape for name, column in self.columns.items()}
         self.fields: Mapping[str, tuple[int, ...]] = MappingProxyType(shapes)
-
-    def __enter__(self) -> "Shard":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import redirect_stderr
+from contextlib import AbstractContextManager, redirect_stderr
 from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -184,7 +184,7 @@ def _log(sentence: str) -> None:
     sys.stderr.write(f"{printable(sentence)}\n")
 
 
-class _Queue:
+class _Queue(AbstractContextManager["_Queue"]):
     """The data set's jobs in SLURM's queue: they are known by their name."""
 
     def __init__(self, job: Job, array: Array, notice: Callable[[str], None]) -> None:
@@ -229,9 +229,6 @@ class _Queue:
             self._notice(f"SLURM does not answer, which is waited for ({done.stderr.strip()})")
         self._heard = False
         return True
-
-    def __enter__(self) -> "_Queue":
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Take all of them out of the queue, where the run is broken off."""
