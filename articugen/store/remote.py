@@ -12,16 +12,6 @@ from articugen.store.bucket import READ_SCHEMES, SCHEMES, Answer, Bucket, Files,
 BLOCK = 1 << 16
 """Bytes that a file is read by, where it is read as one."""
 
-_PACKAGES = {
-    "hf": "huggingface_hub",
-    "sftp": "paramiko",
-    "ssh": "paramiko",
-    "webdav": "webdav4",
-    "smb": "smbprotocol",
-    "gdrive": "gdrive_fsspec",
-}
-"""What fsspec wants for some schemes; of others it says so itself."""
-
 TRIES = 2
 """Many implementations try again by themselves."""
 
@@ -57,9 +47,9 @@ class FileSystem(Files):
         try:
             opened = self._tried("", lambda: fsspec.core.url_to_fs(self.url))
         except ImportError as error:
-            package = _PACKAGES.get(scheme)
-            cure = f"run: pip install {package}" if package else str(error)
-            raise ArticugenError(f"{url}: fsspec cannot read {scheme}:// yet; {cure}") from None
+            raise ArticugenError(
+                f"{url}: fsspec cannot read {scheme}:// yet; install what it wants ({error})"
+            ) from None
         except ValueError as error:
             raise InvalidArgument(f"{url}: {error}") from None
         if opened is None:
