@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from articugen.core.errors import InvalidCheckpoint
 from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.yaml_files import fault_in
 
 FILE = "evaluation.json"
 MOST_BYTES = 1 << 28
@@ -178,6 +179,4 @@ def read_evaluation(run: Path) -> RunEvaluation:
     except OSError:
         raise InvalidCheckpoint(f"{path}: there is no such evaluation; {cure}") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        what = ": ".join([".".join(map(str, first["loc"])), first["msg"]]).removeprefix(": ")
-        raise InvalidCheckpoint(f"{path}: not an evaluation ({what}); {cure}") from None
+        raise InvalidCheckpoint(f"{path}: not an evaluation ({fault_in(error)}); {cure}") from None

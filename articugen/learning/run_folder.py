@@ -33,7 +33,7 @@ from articugen.core.files import (
     write_atomically,
     writing,
 )
-from articugen.core.yaml_files import resolved
+from articugen.core.yaml_files import fault_in, resolved
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.tensors import (
@@ -385,9 +385,6 @@ def _parsed(model: type[Record], text: bytes, where: str) -> Record:
     try:
         return model.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        what = f"{key}: {first['msg']}" if key else first["msg"]
         raise InvalidCheckpoint(
-            f"{where}: damaged ({what}); restore it from a copy, or start a new run"
+            f"{where}: damaged ({fault_in(error)}); restore it from a copy, or start a new run"
         ) from None

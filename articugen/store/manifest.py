@@ -172,8 +172,8 @@ class Manifest(Record):
     @staticmethod
     def sealed(**values: Any) -> "Manifest":
         """Return a manifest of these values, and with their digest."""
-        draft = Manifest.model_construct(**values)
-        return Manifest(**values, manifest_sha256=draft.digest())
+        values["manifest_sha256"] = Manifest.model_construct(**values).digest()
+        return Manifest(**values)
 
     @staticmethod
     def of(

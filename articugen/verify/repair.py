@@ -141,7 +141,6 @@ def _shards(
             values = dict(iter(manifest)) | {
                 "shards": tuple(others.get(shard.name, shard) for shard in manifest.shards)
             }
-            del values["manifest_sha256"]
             manifest = Manifest.sealed(**values)
             write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
             manifest.write(folder)
