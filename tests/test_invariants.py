@@ -78,10 +78,9 @@ def other_part(part):
     return (part + 1) % 3
 
 
-def _other_state(row: Instance) -> Instance:
-    """The joints and motions of another instance: consistent among themselves."""
-    names = ("joint_state", "joint_axis", "joint_pivot", "part_motion")
-    return changed(row, **{name: getattr(RICH_ROWS[3], name) for name in names})
+def others(*names: str):
+    """With fields of another instance: consistent among themselves."""
+    return lambda row: changed(row, **{name: getattr(RICH_ROWS[3], name) for name in names})
 
 
 FAULTS = {
@@ -120,10 +119,7 @@ FAULTS = {
         lambda r: edited(r, "partial_T_camera_world", put((0, 0, 1), 0.9)),
     ),
     "fixed part moves": ("motion", lambda r: edited(r, "part_motion", put((0, 0, 3), 1e-6))),
-    "motion of another state": (
-        "motion",
-        lambda r: changed(r, part_motion=RICH_ROWS[3].part_motion),
-    ),
+    "motion of another state": ("motion", others("part_motion")),
     "state of another motion": ("motion", lambda r: edited(r, "joint_state", lambda q: q + 1e-5)),
     "pivot beside its axis": ("motion", lambda r: edited(r, "joint_pivot", put((0, 2), 0.0))),
     "axis in the wrong frame": (
@@ -150,29 +146,14 @@ FAULTS = {
         lambda r: grids(r, lambda n, g: g + (g > 0) * (g < 3) if n == 16 else g),
     ),
     "coarse grid full": ("grids", lambda r: grids(r, lambda n, g: g * 0 + 1 if n == 16 else g)),
-    "grids of another state": ("filling", lambda r: changed(r, occupancy=RICH_ROWS[3].occupancy)),
+    "grids of another state": ("filling", others("occupancy")),
     "grids indexed z y x": ("filling", lambda r: grids(r, lambda _, g: g.T.copy())),
     "grids empty": ("grids", lambda r: grids(r, lambda _, g: g * 0)),
     "grids full": ("filling", lambda r: grids(r, lambda _, g: g * 0 + 1)),
-    "uniform points of another state": (
-        "grids",
-        lambda r: changed(
-            r, uniform_points=RICH_ROWS[3].uniform_points, uniform_label=RICH_ROWS[3].uniform_label
-        ),
-    ),
+    "uniform points of another state": ("grids", others("uniform_points", "uniform_label")),
     "coverage of another state": ("coverage", lambda r: changed(r, coverage=covered(RICH_ROWS[3]))),
-    "near points of another state": (
-        "near",
-        lambda r: changed(
-            r, near_points=RICH_ROWS[3].near_points, near_label=RICH_ROWS[3].near_label
-        ),
-    ),
-    "points without their labels": (
-        "near",
-        lambda r: changed(
-            r, near_points=RICH_ROWS[3].near_points, uniform_points=RICH_ROWS[3].uniform_points
-        ),
-    ),
+    "near points of another state": ("near", others("near_points", "near_label")),
+    "points without their labels": ("near", others("near_points", "uniform_points")),
     "surface beside the zero level": (
         "zero level",
         lambda r: changed(
@@ -180,12 +161,7 @@ FAULTS = {
             surface_points=quantize(dequantize(r.surface_points) + 0.005 * r.surface_normals / 127),
         ),
     ),
-    "surface of another state": (
-        "near",
-        lambda r: changed(
-            r, surface_points=RICH_ROWS[3].surface_points, surface_part=RICH_ROWS[3].surface_part
-        ),
-    ),
+    "surface of another state": ("near", others("surface_points", "surface_part")),
     "normals inwards": ("zero level", lambda r: edited(r, "surface_normals", np.negative)),
     "surface of another part": ("zero level", lambda r: edited(r, "surface_part", other_part)),
     "camera that looks away": ("cameras", moved_camera),
@@ -214,7 +190,10 @@ FAULTS = {
             r, partial_points=quantize(np.clip(dequantize(r.partial_points) * 0.5, -0.5, 0.5))
         ),
     ),
-    "joints of another state": ("flow", _other_state),
+    "joints of another state": (
+        "flow",
+        others("joint_state", "joint_axis", "joint_pivot", "part_motion"),
+    ),
 }
 
 
@@ -240,6 +219,10 @@ def _all(harm):
     return lambda rows: [harm(row) for row in rows]
 
 
+def _last(harm):
+    return lambda rows: [*rows[:3], harm(rows[3])]
+
+
 def _halved(row: Instance) -> Instance:
     """Half as large in the cube, everything else in order: only the box is not filled."""
     half = {
@@ -263,23 +246,17 @@ OBJECT_FAULTS = {
         "states",
         lambda rows: [changed(rows[1], state_index=0), changed(rows[0], state_index=1), *rows[2:]],
     ),
-    "two centers": (
-        "shared",
-        lambda rows: [*rows[:3], edited(rows[3], "center", lambda c: c + 1e-6)],
-    ),
-    "two scales": ("shared", lambda rows: [*rows[:3], changed(rows[3], scale=1.0)]),
-    "two ranges": (
-        "shared",
-        lambda rows: [*rows[:3], edited(rows[3], "joint_upper", lambda q: q + 1)],
-    ),
+    "two centers": ("shared", _last(lambda r: edited(r, "center", lambda c: c + 1e-6))),
+    "two scales": ("shared", _last(lambda r: changed(r, scale=1.0))),
+    "two ranges": ("shared", _last(lambda r: edited(r, "joint_upper", lambda q: q + 1))),
     "a hinge that wanders": (
         "shared",
-        lambda rows: [*rows[:3], edited(rows[3], "joint_pivot", lambda p: p + 0.1)],
+        _last(lambda r: edited(r, "joint_pivot", lambda p: p + 0.1)),
     ),
     "half the box": ("fills box", _all(_halved)),
     "a voxel of the fixed part that comes and goes": (
         "fixed part",
-        lambda rows: [*rows[:3], grids(rows[3], lambda n, g: g if n != 64 else _one_freed(g))],
+        _last(lambda r: grids(r, lambda n, g: g if n != 64 else _one_freed(g))),
     ),
 }
 

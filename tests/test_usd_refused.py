@@ -16,6 +16,13 @@ from articugen.sources.usd import apart, layers, model
 
 BASE, DOOR = body("base"), body("door")
 HINGE = joint("Revolute")
+
+
+def hinged(more: str) -> list[str]:
+    """A door on a hinge of which more is said."""
+    return [BASE, DOOR, joint("Revolute", more=more)]
+
+
 MESH = (
     'def Mesh "m"\n{{\npoint3f[] points = [{0}]\nint[] faceVertexCounts = [{1}]\n'
     "int[] faceVertexIndices = [{2}]\n}}\n"
@@ -60,38 +67,29 @@ BAD = {
     ),
     "a loop of two": ([BASE, DOOR, HINGE, joint("Prismatic", name="b")], "closes a loop"),
     "frames apart": (
-        [BASE, DOOR, joint("Revolute", more="point3f physics:localPos0 = (3, 0, 0)")],
+        hinged("point3f physics:localPos0 = (3, 0, 0)"),
         "where its two bodies have it is 3 m and 0 degrees apart; correct localPos",
     ),
-    "frames askew": (
-        [BASE, DOOR, joint("Revolute", more="quatf physics:localRot0 = (0.8, 0, 0, 0.6)")],
-        "degrees apart",
-    ),
+    "frames askew": (hinged("quatf physics:localRot0 = (0.8, 0, 0, 0.6)"), "degrees apart"),
     "an axis of its own": (
-        [BASE, DOOR, joint("Revolute", more='uniform token physics:axis = "W"')],
+        hinged('uniform token physics:axis = "W"'),
         "its axis is 'W'; make it X, Y or Z",
     ),
     "a rotation of nothing": (
-        [BASE, DOOR, joint("Revolute", more="quatf physics:localRot1 = (0, 0, 0, 0)")],
+        hinged("quatf physics:localRot1 = (0, 0, 0, 0)"),
         "its localRot1 is no rotation",
     ),
     "a joint at nan": (
-        [BASE, DOOR, joint("Revolute", more="point3f physics:localPos0 = (nan, 0, 0)")],
+        hinged("point3f physics:localPos0 = (nan, 0, 0)"),
         "its localPos0 is missing, not finite or beyond",
     ),
-    "a limit of nan": (
-        [BASE, DOOR, joint("Revolute", more="float physics:lowerLimit = nan")],
-        "its lowerLimit is not a number",
-    ),
+    "a limit of nan": (hinged("float physics:lowerLimit = nan"), "its lowerLimit is not a number"),
     "an animated body": ([body("base", place=ANIMATED)], "xformOp:translate changes with time"),
     "animated points": (
         ['def Mesh "m"\n{\npoint3f[] points.timeSamples = {\n0: [(0, 0, 0)],\n}\n}\n'],
         "points changes with time; export the model without animation",
     ),
-    "an animated joint": (
-        [BASE, DOOR, joint("Revolute", more=sampled("physics:localPos0", "point3f"))],
-        "changes with time",
-    ),
+    "an animated joint": (hinged(sampled("physics:localPos0", "point3f")), "changes with time"),
     "value clips": (
         ['def Xform "x" (\nclips = {\ndictionary default = {\nasset[] assetPaths = '
          '[@./a.usd@]\n}\n}\n)\n{\n}\n', BASE],
