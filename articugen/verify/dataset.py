@@ -146,7 +146,7 @@ def text_findings(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 
 def _manifest_findings(manifest: Manifest) -> Iterator[Finding]:
     """Yield where the manifest does not agree with itself, though its digest does."""
-    recipe, keys = _recipe_of(manifest.recipe), manifest.keys
+    recipe, keys = recipe_of(manifest.recipe), manifest.keys
     if recipe is None:
         yield Finding("manifest", "recipe is not a recipe of this version")
     elif recipe.objects is not None and len(keys) > recipe.objects:
@@ -222,14 +222,15 @@ def _leftovers(folder: Path) -> Iterator[Finding]:
             )
 
 
-def _recipe_of(text: str) -> Recipe | None:
+def recipe_of(text: str) -> Recipe | None:
+    """Return the recipe of just this text; None where it is another's, or of another version."""
     recipe = Recipe.of_text(text)
     return recipe if recipe and recipe.text() == text else None
 
 
 def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
     """Return the attributes of every shard by the manifest."""
-    recipe = _recipe_of(manifest.recipe)
+    recipe = recipe_of(manifest.recipe)
     expected: dict[str, str | int] = {
         "category": manifest.category,
         "source": manifest.source,

@@ -32,6 +32,7 @@ from articugen.store.manifest import LISTS, MANIFEST_NAME, Manifest, Timings
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
 from articugen.store.outcome import Key, ObjectEntry, Outcome, Rejection, ShardEntry, is_shard_name
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
+from articugen.verify.dataset import recipe_of
 from articugen.verify.replay import differences
 
 R = TypeVar("R", bound=BaseModel)
@@ -206,11 +207,9 @@ def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
 def _recipe(known: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
     """Return the whole recipe, of which shards have what decides one object; None if damaged."""
     text = str(known.get("recipe"))
-    recipe = Recipe.of_text(text)
-    if recipe is None:
-        return None
+    recipe = recipe_of(text)
+    fits = recipe is not None and recipe.for_one_object().text() == about["recipe"]
     digest = hashlib.sha256(text.encode()).hexdigest()
-    fits = recipe.text() == text and recipe.for_one_object().text() == about["recipe"]
     return text if fits and digest == known.get("recipe_sha256") else None
 
 

@@ -114,7 +114,7 @@ def _shards(
             yield Repair(name, sentence, f"left as it is: {error}", ok=False)
     if not tasks:
         return
-    recipe, others = _recipe(manifest), dict[str, ShardEntry]()
+    recipe, others = Recipe.model_validate_json(manifest.recipe), dict[str, ShardEntry]()
     job = Job(manifest.source, manifest.category, recipe, manifest.seed, folder, jobs)
     shards = {shard.name: shard for shard in manifest.shards if shard.name in wrong}
     objects = {entry.shard: entry for entry in manifest.objects if entry.shard in wrong}
@@ -154,10 +154,12 @@ def _task(manifest: Manifest, shard: str) -> Task:
         raise ArticugenError(f"it holds {1 + len(others)} objects; make the data set again")
     source, object_id = manifest.source, entry.key.object_id
     ref = open_source(source).find(manifest.category, object_id)
-    recipe = _recipe(manifest)
-    asks = recipe.shows_colours
+    recipe = Recipe.of_text(manifest.recipe)
+    if recipe is None:
+        raise ArticugenError("its recipe is of another version of articugen; repair it there")
+    read = "" if ref.is_made else digest(ref, colours=recipe.shows_colours)
     now = {
-        "ref": f"{source}/{object_id}" if ref.is_made else digest(ref, colours=asks),
+        "ref": read or f"{source}/{object_id}",
         "generator": generator_of(ref, manifest.recipe),
         "recipe_sha256": recipe.for_one_object().sha256(),
     }
@@ -167,13 +169,6 @@ def _task(manifest: Manifest, shard: str) -> Task:
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; repair it where that is as it was")
     return Task(replace(ref, split=entry.key.split), entry.key, shard, "it is damaged")
-
-
-def _recipe(manifest: Manifest) -> Recipe:
-    recipe = Recipe.of_text(manifest.recipe)
-    if recipe is None:
-        raise ArticugenError("its recipe is of another version of articugen; repair it there")
-    return recipe
 
 
 @dataclass(frozen=True)
