@@ -7,6 +7,7 @@ from pathlib import Path
 
 from articugen.core.errors import InvalidSource
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, unreadable
+from articugen.sources.refs import Found
 
 
 def visible(base: Path) -> list[Path]:
@@ -30,6 +31,11 @@ def ending_in(folder: Path, suffix: str) -> list[Path]:
 def has_urdf(folder: Path) -> bool:
     """Return whether a URDF is in a folder: files beside it are its mesh or copy."""
     return any(path.suffix.lower() == ".urdf" for path in visible(folder))
+
+
+def model_in(folder: Path) -> Found:
+    """Return the model that a folder is, of the category that it states."""
+    return Found(folder.name, folder, folder.name, category=meta_category(folder))
 
 
 def meta_category(folder: Path) -> str:

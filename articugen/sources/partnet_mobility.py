@@ -12,7 +12,7 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
-from articugen.sources.folders import meta_category
+from articugen.sources.folders import meta_category, model_in
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_object
 
@@ -24,16 +24,12 @@ KNOWN_MISSING = "new-*.obj"
 
 def detect(path: Path) -> Found | None:
     """Return the model that a folder with mobility.urdf and meta.json is."""
-    return _found(path) if isfile(path / URDF) and isfile(path / "meta.json") else None
+    return model_in(path) if isfile(path / URDF) and isfile(path / "meta.json") else None
 
 
 def find_at(child: Path) -> list[Found]:
     """Return the model that a folder with a mobility.urdf is."""
-    return [_found(child)] if isfile(child / URDF) else []
-
-
-def _found(folder: Path) -> Found:
-    return Found(folder.name, folder, folder.name, category=meta_category(folder))
+    return [model_in(child)] if isfile(child / URDF) else []
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

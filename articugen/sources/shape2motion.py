@@ -23,7 +23,7 @@ from articugen.core.yaml_files import fault_in
 from articugen.meshes.model_files import MAX_NAME_BYTES, MAX_TEXT_BYTES, ModelFiles, quoted
 from articugen.meshes.read import read_mesh
 from articugen.meshes.scenes import check_size
-from articugen.sources.folders import ending_in, meta_category
+from articugen.sources.folders import ending_in, model_in
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_shortest
 from articugen.sources.xml_check import MAX_LINKS, MAX_NUMBER
@@ -63,18 +63,14 @@ class _Dof(BaseModel):
 def detect(path: Path) -> Found | None:
     """Return the model that a folder of the raw layout is; one of the URDF form looks like any
     URDF's."""
-    return _found(path) if isfile(path / _ATTRIBUTES) and isdir(path / "part_objs") else None
+    return model_in(path) if isfile(path / _ATTRIBUTES) and isdir(path / "part_objs") else None
 
 
 def find_at(child: Path) -> list[Found]:
     """Return the model in either form that a folder is."""
     forms = (_ATTRIBUTES, "*.urdf")
     is_model = any(isfile(path) for form in forms for path in child.glob(form))
-    return [_found(child)] if is_model else []
-
-
-def _found(folder: Path) -> Found:
-    return Found(folder.name, folder, folder.name, category=meta_category(folder))
+    return [model_in(child)] if is_model else []
 
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

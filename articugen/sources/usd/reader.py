@@ -12,7 +12,7 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource
 from articugen.core.records import ArticulatedObject, Link
 from articugen.meshes import read
-from articugen.sources.folders import has_urdf, meta_category, visible
+from articugen.sources.folders import has_urdf, model_in, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd.apart import apart
 from articugen.sources.usd.layers import SUFFIXES
@@ -33,9 +33,7 @@ def detect(path: Path) -> Found | None:
     whose mesh or copy it then is.
     """
     if isdir(path):
-        if not main_file(path):
-            return None
-        return Found(path.name, path, path.name, category=meta_category(path))
+        return model_in(path) if main_file(path) else None
     if path.suffix.lower() not in SUFFIXES or _is_of_another(path):
         return None
     return Found(path.stem, path, path.stem)
