@@ -66,7 +66,12 @@ def discover(
     else:
         objects = _of_data_set(paths[0], poses, joints)
         numbers = [
-            {"object": o.object_id, "why": o.why, "joints": found_joints.as_json(o.found)}
+            {
+                "object": o.object_id,
+                "why": o.why,
+                "joints": found_joints.as_json(o.found),
+                "judged": vars(o.judged),
+            }
             for o in objects
         ]
     if output is not None:
