@@ -1,11 +1,15 @@
-"""What reading costs, beside uncompressed .npz files: python -m tests.benchmarks.reading [SHARD]
+"""What reading costs, beside uncompressed .npz files: python -m tests.benchmarks.reading [DATA]
 
 Prints CPU time of a batch of random rows, all fields and the points of one kind alone: of the same
 instances as a shard, as one .npz an instance and as a shard read through h5py. They take turns, so
-that a busy machine slows all alike. Without SHARD, of a made-up one with the default counts.
+that a busy machine slows all alike. Without DATA, of a made-up one with the default counts.
 
 Then batches as a learner takes them, of 4,096 surface points in the unit frame and their labels:
 instances a second of one core, from a warm page cache.
+
+Last a whole set from its first row to its last, points and labels of each, beside what
+`export --to parquet` and `--to webdataset` make of it, where `datasets` and `webdataset` are
+installed: seconds until the first row is there, then rows a second.
 """
 
 import argparse
@@ -13,14 +17,19 @@ import statistics
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+import articugen
 from articugen.core.recipe import Sampling
+from articugen.core.records import dequantize
 from articugen.store.dataset import open as open_data_set
 from articugen.store.shards import Shard, open_shard
 from articugen.store.writer import write_shard
@@ -37,10 +46,10 @@ Batch = dict[str, Any]
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.reading")
-    parser.add_argument("shard", nargs="?", type=Path, help="of at least 18 instances")
+    parser.add_argument("data", nargs="?", type=Path, help="a set with 18 instances in a shard")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        path = asked.shard or _made_up(Path(folder))
+        path = min(asked.data.glob("train-*.h5")) if asked.data else _made_up(Path(folder))
         with open_shard(path) as shard, h5py.File(path, locking=False) as plain:
             for names in (sorted(shard.fields), ["surface_points", "surface_part"]):
                 seconds = measured(shard, plain, names, Path(folder))
@@ -57,6 +66,7 @@ def main() -> None:
             for way, spent in seconds.items():
                 ratio = spent / seconds["npz"]
                 print(f"  {way:10} {BATCH / spent:6,.0f} instances/s, {ratio:.2f} of npz's time")  # noqa: T201
+        in_order(asked.data or path, Path(folder))
 
 
 def as_learnt(path: Path, folder: Path) -> dict[str, float]:
@@ -87,6 +97,51 @@ def as_learnt(path: Path, folder: Path) -> dict[str, float]:
         n: (a.shape, a.dtype) for n, a in theirs.items()
     }
     return _medians({"npz": from_npz, "articugen": from_shard})
+
+
+def in_order(data: Path, folder: Path) -> None:
+    """Print the CPU seconds, of all threads, until the first row of a set is there, and how many
+    rows follow in a second: points as float32 in the unit frame, and labels."""
+    ways: dict[str, Callable[[], Iterator[tuple[Any, Any]]]] = {
+        "articugen": lambda: (
+            (row.surface.points, row.surface.part) for row in open_data_set(data).split("train")
+        )
+    }
+    articugen.export(data, "parquet", folder / "parquet", split="train")
+    articugen.export(data, "webdataset", folder / "tar", split="train")
+    if find_spec("datasets"):
+        datasets = import_module("datasets")
+
+        def from_parquet(*, streaming: bool) -> Iterator[tuple[Any, Any]]:
+            rows = datasets.load_dataset(
+                "parquet", data_files=str(folder / "parquet" / "data" / "*.parquet"),
+                split="train", streaming=streaming, cache_dir=str(folder / "cache"),
+                columns=list(LEARNT),
+            ).with_format("numpy")  # fmt: skip
+            return ((np.float32(dequantize(row[LEARNT[0]])), row[LEARNT[1]]) for row in rows)
+
+        datasets.disable_progress_bars()
+        ways["datasets, first time"] = partial(from_parquet, streaming=False)
+        ways["datasets, cached"] = partial(from_parquet, streaming=False)
+        ways["datasets, streaming"] = partial(from_parquet, streaming=True)
+    if find_spec("webdataset"):
+        webdataset = import_module("webdataset")
+        tars = sorted(map(str, (folder / "tar").glob("*.tar")))
+        ways["webdataset"] = lambda: (
+            tuple(sample["npz"][name] for name in LEARNT)  # type: ignore[misc]
+            for sample in webdataset.WebDataset(tars, shardshuffle=False).decode()
+        )
+    print("A set in order, points and labels:")  # noqa: T201
+    for way, read in ways.items():
+        began = time.process_time()
+        rows = read()
+        points, part = next(rows)
+        first = time.process_time() - began
+        assert points.dtype == np.float32
+        assert len(points) == len(part)
+        count = sum(1 for _ in rows)
+        rate = count / (time.process_time() - began - first)
+        print(f"  {way:20} first row after {1e3 * first:6.1f} ms, then {rate:7,.0f} rows/s")  # noqa: T201
 
 
 def measured(shard: Shard, plain: h5py.File, names: list[str], folder: Path) -> dict[str, float]:
