@@ -122,7 +122,7 @@ NOT_RUN = {
     "articugen train": "takes minutes",
 }
 """How lines begin that are only parsed, and why; `ag.train` below takes three iterations."""
-NEEDS = {"--collision": "coacd", ".torch(": "torch", "ag.train": "torch", "ag.evaluate": "torch"}
+NEEDS = {".torch(": "torch", "ag.train": "torch", "ag.evaluate": "torch"}
 BRIEFLY = {
     "extends": "ppd_plain",
     "data": {"surface_points": 256, "uniform_points": 128, "near_points": 128,

@@ -15,7 +15,6 @@ boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, 
 
 def test_a_lid_rests_opens_by_a_push_and_stays_within_its_limits(laptops, tmp_path):
     """2,000 steps at rest; pushed by half its friction, by twice, by ten times to the stops."""
-    pytest.importorskip("coacd", reason="make exporters installs it")
     mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
     ag.export(laptops, "mjcf", tmp_path / "m", collision=True, resolution=64)
     paths = sorted(tmp_path.glob("m/*/*/*.xml"))
@@ -77,7 +76,6 @@ def test_usd_states_what_simready_wants_to_know(exported, rows):
 
 
 def test_usd_passes_nvidias_own_validator(laptops, tmp_path):
-    pytest.importorskip("coacd", reason="make exporters installs it")
     pytest.importorskip("pxr", reason="make exporters installs it")
     validate = pytest.importorskip("simready.validate", reason="docs/exports/usd.md installs it")
     ag.export(laptops, "usd", tmp_path / "u", collision=True, resolution=64)

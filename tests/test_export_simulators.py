@@ -16,11 +16,8 @@ from test_html_report import named
 
 import articugen as ag
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
-from articugen.core.records import Mesh, is_material
-from articugen.export.assembly import agreement
+from articugen.core.records import is_material
 from articugen.export.parts import metric_joints
-from articugen.meshes.read import box
-from articugen.meshes.simpler import hull
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
 
@@ -147,7 +144,6 @@ def test_joints_are_slowed_by_what_moves_with_them(exported, rows):
 
 @pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's own call
 def test_convex_parts_fill_the_boxes(boxes, tmp_path):
-    pytest.importorskip("coacd", reason="make exporters installs it")
     mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
     ag.export(boxes, "mjcf", tmp_path / "m", split="test", collision=True, **MESHES)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "m" / "test" / "box-2" / "box-2.xml"))
@@ -158,7 +154,7 @@ def test_convex_parts_fill_the_boxes(boxes, tmp_path):
     assert data.ncon == 0  # parts that share a joint do not collide
     lines = json.loads((tmp_path / "m" / "test" / "box-2" / "collision.json").read_text())
     assert sum(line["pieces"] for line in lines) == len(felt)
-    assert all(line["iou"] > 0.9 and line["cavities"] == [] for line in lines)
+    assert all(line["iou"] > 0.95 and line["cavities"] == [] for line in lines)
     ag.export(boxes, "urdf", tmp_path / "u", split="test", collision=True, **MESHES)
     path = str(tmp_path / "u" / "test" / "box-2" / "box-2.urdf")
     robot = yourdfpy.URDF.load(path, load_collision_meshes=True, build_collision_scene_graph=True)
@@ -168,20 +164,6 @@ def test_convex_parts_fill_the_boxes(boxes, tmp_path):
         assert mesh.volume == pytest.approx(mesh.convex_hull.volume, rel=1e-3)
     solid = sum(mesh.volume for mesh in robot.scene.geometry.values())
     assert sum(mesh.volume for mesh in meshes) == pytest.approx(solid, rel=0.1)
-
-
-def test_pieces_are_compared_with_the_solid_and_its_cavities():
-    def with_another(mesh, vertices, faces):
-        every = np.concatenate([mesh.vertices, vertices])
-        return Mesh(every, np.concatenate([mesh.faces, faces + len(mesh.vertices)]))
-
-    plain, one, other = box([0.3, 2.0, 1.0]), box([2.0, 1.0, 1.0]), box([1.0, 1.0, 1.0])
-    hollow = with_another(plain, plain.vertices / 2.0, plain.faces[:, ::-1])
-    ell = with_another(one, np.add(other.vertices, [-0.5, 1.0, 0.0]), other.faces)
-    assert agreement(plain, [plain]) == {"iou": 1.0, "cavities": []}
-    assert agreement(hollow, [plain]) == {"iou": 7 / 8, "cavities": [0.075]}
-    around = agreement(ell, [hull(ell.vertices)])  # 3 of 3.5, but for cells on the slope
-    assert around["iou"] == pytest.approx(6 / 7, abs=1 / 128)
 
 
 def test_usd_in_openusd(exported, rows):

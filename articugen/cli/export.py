@@ -40,7 +40,7 @@ def export(
         None, "Of part meshes: voxels along an edge.", min=8, max=1024, show_default="256"
     ),
     from_grids: bool = option(False, "Part meshes from stored grids: no models needed."),
-    collision: bool = option(False, "Add convex parts to collide with (CoACD)."),
+    collision: bool = option(False, "Add convex parts to collide with."),
     occupancy: str | None = option(
         None, "Inside is what is: visible or material.", show_default="visible"
     ),

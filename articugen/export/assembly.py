@@ -6,23 +6,17 @@ All frames are turned as the model's own; a part's stands at its joint's pivot, 
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-from articugen import fusion
-from articugen.core.arrays import Bools, Floats
-from articugen.core.errors import MissingExtra
-from articugen.core.geometry import bounds
-from articugen.core.records import LabelledMesh, Mesh
+from articugen.core.arrays import Floats
+from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
 from articugen.export.parts import MetricJoint, in_metres, metric_joints, part_names
 from articugen.export.target import Target
-from articugen.meshes.bvh import tree_of
+from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.model_text import obj_text
-from articugen.meshes.simpler import simpler
 
 DENSITY = 500.0
 """kg/m^3, of wood. Models do not state theirs; mass and inertia follow from it and the volume."""
@@ -43,12 +37,6 @@ SURFACE_FRICTION = 0.5
 """Of what touches a part: wood on wood, and what PhysX takes where nothing is stated."""
 
 _GRAVITY = 9.81  # m/s^2
-
-_CONCAVITY = 0.05  # CoACD's threshold: lower means more convex parts. 0.05 is its own default
-
-_CELLS = 64  # along each edge of a part's box, at whose centres it is compared with its pieces
-
-_ROUGH = 2e-3  # of a part's size: CoACD takes minutes with faces that tell no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +87,15 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
         placed = in_metres(unit_mesh, row)
         mesh = Mesh(placed.vertices - at[part], placed.faces)
         joint = joints[part - 1] if part else None
-        hulls = convex_parts(mesh) if target.options.collision else ()
+        hulls = convex_pieces(mesh) if target.options.collision else ()
         built.append(Body(names[part], at[part], mesh, hulls, inertia(mesh, DENSITY), joint))
     if target.options.collision:
-        lines = [
-            {"part": one.name, "pieces": len(one.hulls), **agreement(one.mesh, one.hulls)}
-            for one in built
-        ]
+        lines = []
+        for body in built:
+            iou, cavities = agreement(body.mesh, body.hulls)
+            volumes = [float(f"{volume:.4g}") for volume in cavities]
+            line = {"part": body.name, "pieces": len(body.hulls), "iou": round(iou, 4)}
+            lines.append({**line, "cavities": volumes})
         target.write(f"{item.key}/collision.json", json.dumps(lines, indent=1).encode())
     return tuple(built)
 
@@ -147,60 +137,6 @@ def write_meshes(item: Item, target: Target, part: int, body: Body) -> list[str]
         text = obj_text([(mesh.vertices, mesh.faces)])
         target.write(f"{item.key}/meshes/{name}.obj", text.encode())
     return names
-
-
-def convex_parts(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Fill `mesh` with convex meshes (Wei et al. 2022, CoACD); MissingExtra without it."""
-    try:
-        import coacd  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtra("coacd", "export") from None
-    size = float(np.ptp(mesh.vertices, axis=0).max())
-    rough = simpler(mesh, _ROUGH * size)
-    coacd.set_log_level("error")
-    pieces = coacd.run_coacd(
-        coacd.Mesh(rough.vertices, rough.faces),
-        threshold=_CONCAVITY,
-        preprocess_mode="off",  # which would swell it, and it is watertight already
-        mcts_iterations=30,  # a fifth of its own search, which takes minutes for a cabinet
-        mcts_nodes=10,
-        mcts_max_depth=2,
-        seed=0,
-    )
-    return tuple(Mesh(vertices, faces) for vertices, faces in pieces)
-
-
-def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> dict[str, Any]:
-    """Compare a watertight mesh with the convex pieces that stand for it: `iou`, at the centres of
-    _CELLS^3 cells of its box; `cavities`, the volumes m^3 of what it encloses, which pieces may
-    fill."""
-    low, high = bounds(mesh.vertices)
-    size = high - low
-    centers = (np.indices((_CELLS,) * 3).reshape(3, -1).T + 0.5) / _CELLS - 0.5
-    ours, theirs = (
-        _inside(centers, [_labelled((one.vertices - low) / size - 0.5, one.faces) for one in some])
-        for some in ([mesh], pieces)
-    )
-    inwards = _labelled((mesh.vertices - low) / size, mesh.faces[:, ::-1])
-    shell = fusion.closed_piece(inwards)
-    shells = (Mesh(mesh.vertices, inwards.faces[shell == k]) for k in np.unique(shell[shell >= 0]))
-    return {
-        "iou": round(float((ours & theirs).sum() / (ours | theirs).sum()), 4),
-        "cavities": sorted(float(f"{inertia(one, 1.0).mass:.4g}") for one in shells),
-    }
-
-
-def _labelled(vertices: Floats, faces: NDArray[np.int32]) -> LabelledMesh:
-    return LabelledMesh(vertices, faces, np.zeros(len(faces), np.uint8))
-
-
-def _inside(points: Floats, closed: Sequence[LabelledMesh]) -> Bools:
-    """Return (n,) which of the points closed meshes wind around, any of them."""
-    mesh = LabelledMesh.joined(closed)
-    piece = np.repeat(np.arange(len(closed)), [len(one.faces) for one in closed])
-    solid = fusion.closed_pieces(mesh, piece, tree_of(mesh.vertices[mesh.faces]))
-    assert solid is not None
-    return fusion.surely_inside(points, solid)
 
 
 def numbers(values: Sequence[float] | Floats) -> str:

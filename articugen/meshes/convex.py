@@ -1,0 +1,211 @@
+"""Solids as few convex pieces: cut along faces that meet in inner corners, until the pieces' hulls
+hold hardly anything else; then joined where the hull of two holds hardly more than the solid.
+
+Volumes are exact (manifold3d), so walls may be as thin as they like.
+"""
+
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import count
+from typing import NamedTuple
+
+import manifold3d
+import numpy as np
+from manifold3d import Manifold
+
+from articugen.core.arrays import Bools, Floats, Indices
+from articugen.core.geometry import cross
+from articugen.core.portable import dot, norm
+from articugen.core.records import Mesh
+from articugen.meshes.simpler import manifold, mesh_of
+
+_CUT = 0.025  # of the solid's volume: pieces are cut until their hulls hold no more besides it
+_JOINED = 0.01  # and so much more once they are joined
+_MOST = 128  # pieces before they are joined: curved shells could be cut for ever
+_CORNERS = 64  # of a piece: more than that PhysX does not take on a GPU
+_ROUGH = 0.05  # of the mean thickness, and 1e-3 of the size: finer faces only take time
+_SLIVER = 1e-4  # of the volume: less is not worth a piece
+_PLANES = 6  # of faces that a piece may be cut along, besides three across each axis
+_INNER = 0.05  # weight of the inner corners that a cut leaves, beside that of what hulls hold
+_A_PIECE = 0.002  # likewise of a piece more
+_ALIKE = 0.985  # cosine between planes that differ too little to try both
+
+
+class _Piece(NamedTuple):
+    """A part of a solid, its hull and its volume, and how much more the hull holds."""
+
+    solid: Manifold
+    hull: Manifold
+    volume: float
+    excess: float
+
+
+def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
+    """Return convex meshes of at most 64 vertices that together fill about the space of a
+    watertight `mesh`, and of what it encloses."""
+    solid = manifold(mesh)
+    volume, size = solid.volume(), float(np.ptp(mesh.vertices, axis=0).max())
+    rough = min(1e-3 * size, _ROUGH * 2.0 * volume / solid.surface_area())
+    hulls = _joined(_cut(solid.simplify(rough), volume, rough), _JOINED * volume)
+    return tuple(mesh_of(_simple(hull)) for hull in hulls)
+
+
+def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> tuple[float, list[float]]:
+    """Return the IoU of a watertight mesh and convex ones, and the volumes of what it encloses."""
+    solid = manifold(mesh)
+    union = Manifold.batch_boolean([manifold(one) for one in pieces], manifold3d.OpType.Add)
+    common = (union ^ solid).volume()
+    shells = [shell.volume() for shell in solid.decompose()]
+    iou = common / (union.volume() + solid.volume() - common)
+    return iou, sorted(-volume for volume in shells if volume < 0.0)
+
+
+def _simple(hull: Manifold) -> Manifold:
+    """Return a convex solid, or one within it that has few enough corners."""
+    tolerance = 1e-3 * hull.volume() ** (1 / 3)
+    while hull.num_vert() > _CORNERS:
+        hull = hull.simplify(tolerance).hull()
+        tolerance *= 1.5
+    return hull
+
+
+def _parts(*solids: Manifold, least: float) -> list[_Piece]:
+    """Return what hangs together of the solids, without what has a smaller volume than `least`, as
+    inner shells do, whose volumes are negative."""
+    parts = []
+    for solid in (one for some in solids for one in some.decompose()):
+        volume = solid.volume()
+        if volume > least:
+            hull = solid.hull()
+            parts.append(_Piece(solid, hull, volume, hull.volume() - volume))
+    return parts
+
+
+def _cut(solid: Manifold, volume: float, rough: float) -> list[_Piece]:
+    """Cut the piece whose hull holds most besides it, again and again, until little is left."""
+    pieces, convex = _parts(solid, least=_SLIVER * volume), []
+    while pieces and len(pieces) + len(convex) < _MOST:
+        if sum(piece.excess for piece in pieces + convex) < _CUT * volume:
+            break
+        pieces.sort(key=lambda piece: piece.excess)
+        piece = pieces.pop()
+        halves = _best_cut(piece.solid, volume, rough)
+        pieces += halves
+        if not halves and piece.excess < piece.volume:  # else it is a sliver around a hole
+            convex.append(piece)
+    return pieces + convex
+
+
+def _best_cut(solid: Manifold, volume: float, rough: float) -> list[_Piece]:
+    """Return the pieces on both sides of the best plane, by what hulls then hold besides the solid,
+    and the inner corners that are left; [] where no plane cuts more than a sliver off."""
+    best, least = [], np.inf
+    mesh = mesh_of(solid)
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    for normal, offset in _planes(mesh, 2e-3 * size):
+        # beside the face, or paper-thin rests of it hold together what it should part
+        halves = solid.split_by_plane(tuple(normal), float(offset) + 0.1 * rough)
+        halves = [half.simplify(0.2 * rough) for half in halves]
+        if min(half.volume() for half in halves) > _SLIVER * volume:
+            parts = _parts(*halves, least=0.1 * _SLIVER * volume)
+            cost = sum(part.excess for part in parts) / volume + _A_PIECE * len(parts)
+            if cost < least:
+                corners = sum(_inner_edges(mesh_of(part.solid))[1].sum() for part in parts)
+                cost += _INNER * corners / size
+            if cost < least:
+                best, least = parts, cost
+    return best
+
+
+def _planes(mesh: Mesh, near: float) -> Iterator[tuple[Floats, float]]:
+    """Yield planes to cut a solid along, normal and offset: of faces at inner corners, and some
+    across the axes."""
+    ends, length, face, normals = _inner_edges(mesh)
+    faces, which = np.unique(face.ravel(), return_inverse=True)
+    at = np.bincount(which, weights=np.repeat(length, 2), minlength=len(faces))
+    areas = norm(normals)[:, None]  # twice
+    faces = faces[np.argsort(-at * np.sqrt(areas[faces, 0]), kind="stable")[:60]]
+    across = normals[faces] / areas[faces]
+    offset = dot(across, mesh.vertices[mesh.faces[faces, 0]])
+    on = (np.abs(ends @ across.T - offset) < near).all(axis=1)  # (edges, planes)
+    centers = mesh.vertices[mesh.faces].mean(axis=1)
+    level = (np.abs(centers @ across.T - offset) < near) & (normals @ across.T > 0.98 * areas)
+    left = np.argsort(-(length @ on) * np.sqrt(areas[:, 0] @ level), kind="stable")
+    for _ in range(_PLANES):
+        if len(left):
+            k = left[0]
+            yield across[k], offset[k]
+            turn = across[left] @ across[k]
+            apart = np.abs(offset[left] * np.sign(turn) - offset[k])
+            left = left[(np.abs(turn) < _ALIKE) | (apart > near)]
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    for axis in np.flatnonzero(high - low > 0.1 * (high - low).max()):
+        for share in (0.25, 0.5, 0.75):
+            yield np.eye(3)[axis], low[axis] + share * (high - low)[axis]
+
+
+def _inner_edges(mesh: Mesh) -> tuple[Floats, Floats, Indices, Floats]:
+    """Return the edges along which a solid is hollow: their ends (n, 2, 3), their lengths (n,)
+    times 1 - cos of their angle, and the faces on both sides (n, 2); and all faces' normals."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    normals = cross(b - a, c - a)
+    unit = normals / np.maximum(norm(normals), 1e-300)[:, None]
+    start, end = mesh.faces.ravel().astype(np.intp), np.roll(mesh.faces, -1, axis=1).ravel()
+    key, reverse = start * len(mesh.vertices) + end, end * len(mesh.vertices) + start
+    order, one = np.argsort(key), np.flatnonzero(start < end)
+    other = order[np.searchsorted(key, reverse[one], sorter=order)]
+    face = np.stack([one, other], axis=1) // 3
+    ends = mesh.vertices[np.stack([start, end], axis=1)[one]]
+    beyond = mesh.vertices[np.roll(mesh.faces, -2, axis=1).ravel()[other]]
+    length = norm(ends[:, 1] - ends[:, 0]) * (1.0 - dot(*unit[face.T]))
+    inner = (dot(unit[face[:, 0]], beyond - ends[:, 0]) > 0.0) & (length > 1e-9)
+    return ends[inner], length[inner], face[inner], normals
+
+
+def _joined(pieces: Sequence[_Piece], spare: float) -> list[Manifold]:
+    """Return the pieces' hulls, two by two replaced by the hull of both while these hold no more
+    than the volume `spare` of what is in no piece."""
+    volumes = np.array([piece.volume for piece in pieces])
+    boxes = np.array([piece.solid.bounding_box() for piece in pieces])
+    number = count(len(pieces))
+    # hulls, the pieces that they stand for, and what they hold besides any pieces
+    alive = {k: (p.hull, np.arange(len(pieces)) == k, p.excess) for k, p in enumerate(pieces)}
+    heap: list[tuple[float, int, int, bool, Manifold, Bools, float]] = []
+
+    def queue(i: int, j: int, exact: bool, hull: Manifold, both: Bools, excess: float) -> None:
+        more = max(excess, 0.0) - alive[i][2] - alive[j][2]
+        if more <= spare:
+            heapq.heappush(heap, (more, i, j, exact, hull, both, excess))
+
+    def consider(i: int, others: Iterable[int]) -> None:
+        """Queue hull i with each, by the least that the hull of both can hold besides."""
+        for j in others:
+            hull, both = Manifold.batch_hull([alive[i][0], alive[j][0]]), alive[i][1] | alive[j][1]
+            volume = volumes[both].sum()
+            rest = hull.volume() - volume
+            if rest < volume:  # others take long to be examined, and are rarely joined
+                queue(i, j, False, hull, both, rest - shared(hull, both).sum())
+
+    def shared(hull: Manifold, besides: Bools) -> Floats:
+        """Return the most that a hull can hold of pieces, by their boxes; 0 of those `besides`."""
+        box = np.array(hull.bounding_box())
+        sides = np.minimum(boxes[:, 3:], box[3:]) - np.maximum(boxes[:, :3], box[:3])
+        return np.where(besides, 0.0, np.minimum(volumes, np.maximum(sides, 0.0).prod(axis=1)))
+
+    for i in alive:
+        consider(i, range(i))
+    while heap:
+        more, i, j, exact, hull, both, excess = heapq.heappop(heap)
+        if i not in alive or j not in alive or more > spare:
+            continue
+        if exact:
+            spare -= max(more, 0.0)
+            del alive[i], alive[j]
+            others, new = list(alive), next(number)
+            alive[new] = hull, both, max(excess, 0.0)
+            consider(new, others)
+        else:
+            parts = (pieces[int(k)].solid for k in np.flatnonzero(shared(hull, both)))
+            known = volumes[both].sum() + sum((hull ^ part).volume() for part in parts)
+            queue(i, j, True, hull, both, hull.volume() - known)
+    return [hull for hull, _, _ in alive.values()]
