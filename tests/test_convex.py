@@ -65,6 +65,7 @@ def test_pieces_are_convex_the_same_each_time_and_at_any_size() -> None:
         np.testing.assert_array_equal(one.faces, other.faces)
         solid = trimesh.Trimesh(one.vertices, one.faces)
         assert solid.volume == pytest.approx(solid.convex_hull.volume, rel=1e-9)
+        assert solid.area_faces.min() > 1e-9 * solid.area
 
 
 def test_pieces_fill_what_a_solid_encloses_and_that_is_stated() -> None:

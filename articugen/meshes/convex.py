@@ -66,7 +66,7 @@ def _simple(hull: Manifold) -> Manifold:
     while hull.num_vert() > _CORNERS:
         hull = hull.simplify(tolerance).hull()
         tolerance *= 1.5
-    return hull
+    return hull.simplify(1e-5 * hull.volume() ** (1 / 3))  # no faces without area
 
 
 def _parts(*solids: Manifold, least: float) -> list[_Piece]:
