@@ -52,13 +52,12 @@ FOREIGN: dict[str, set[str]] = {
         "pictures.layout",
         "pictures.shading",
     },
-    "coacd": {"export.assembly"},
     "distributed": {"pipeline.executors.dask"},
     "fsspec": {"store.remote"},
     "h5py": {"export.hdf5", "store.columns", "store.writer"},
     "llvmlite": {"core.compiling"},
     "lxml": {"meshes.xml_strict", "sources.urdf"},
-    "manifold3d": {"meshes.simpler"},
+    "manifold3d": {"meshes.convex", "meshes.simpler"},
     "obstore": {"store.bucket"},
     "platformdirs": {"core.content"},
     "pyarrow": {"export.parquet"},
@@ -264,7 +263,7 @@ def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> N
 def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
-        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy", "coacd",
+        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy",
         "pxr", "pyarrow", "viser", "distributed", "obstore", "fsspec", "submitit",
     )  # fmt: skip
     starts = {m: _imports(m, at_start=True) for m in MODULES}
