@@ -34,7 +34,6 @@ from articugen.evaluation.results import (
     JointLine,
     JointState,
     Kind,
-    LeftOut,
     Measures,
 )
 from articugen.meshes.distances import distance, sample
@@ -43,6 +42,9 @@ from articugen.store.manifest import Manifest
 from articugen.store.shards import open_shard
 
 Reconstruct = Callable[[Instance], Reconstruction]
+Instances = tuple[Instance, Instance]
+Predicted = tuple[Reconstruction, Reconstruction]
+Canonical = tuple[Instance, Reconstruction] | None
 
 KINDS: dict[int, Kind] = {JointKind.REVOLUTE: "revolute", JointKind.PRISMATIC: "prismatic"}
 DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
@@ -77,6 +79,7 @@ class Tally:
     """Measures so far, by votes (P, K) that are cast already: those of canonical poses, and of all
     if those were asked. `at` names the instance that the next measures are of."""
 
+    protocol: Protocol
     votes: Floats
     all_votes: Floats | None = None
     objects: int = 0
@@ -103,7 +106,111 @@ class Tally:
         if self.all_votes is not None and not prefix:
             self.add(label_iou_all_poses=_label_iou(self.labels_by_all, near, true))
 
-    def evaluation(self, left_out: LeftOut | None = None) -> Evaluation:
+    def measure(self, instance: Instance, predicted: Reconstruction, first: Canonical) -> None:
+        """Add all that is measured of an instance; `first` is None of the canonical one itself."""
+        matched = self._measure_shape(instance, predicted)
+        self._note_joint_states(instance, predicted)
+        if first is None:
+            return
+        both = (first[0], instance), (first[1], predicted)
+        self._measure_motion(*both)
+        self._measure_joints(*both)
+        for errors in (pose_errors, joint_errors):
+            for name, error in errors(*both, matched):
+                self.add(**{name: error})
+
+    def _measure_shape(self, instance: Instance, predicted: Reconstruction) -> Matching:
+        near, true = nearest_parts(instance, predicted, self.protocol)
+        matched = matching(near, true, instance, predicted.parts)
+        self.add_label_iou(near, true)
+        self.add(matched_part_iou=float(np.nanmean(matched.iou)))
+        grid = instance.occupancy.get(len(predicted.occupied))
+        if grid is not None:
+            true_grid = is_material(grid) if self.protocol.occupancy == "material" else grid > 0
+            self.add(
+                reconstruction_iou=metrics.occupancy_iou(predicted.occupied, true_grid),
+                voxels_label_iou=_voxels_label_iou(
+                    grid, *surface_of(instance, self.protocol.points)
+                ),
+            )
+        if predicted.whole is None:
+            return matched
+        surface = dequantize(instance.surface_points)
+        to_predicted = np.minimum(distance(surface, predicted.whole), DIAGONAL)
+        to_true = np.full(1, DIAGONAL)
+        if len(predicted.whole):
+            rng = generator(0, "evaluate", instance.object_id, instance.state_index)
+            drawn = sample(predicted.whole, self.protocol.surface_samples, rng)
+            to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
+        self.add(
+            chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
+            f_score=100.0 * metrics.f_score(to_true, to_predicted, self.protocol.f_threshold),
+            no_surface=float(not len(predicted.whole)),
+        )
+        return matched
+
+    def _note_joint_states(self, instance: Instance, shape: Reconstruction) -> None:
+        if shape.joints is None:
+            return
+        for j, kind in enumerate(instance.joint_kind.tolist()):
+            parts = np.flatnonzero((self.dominant == j + 1) & (shape.joints.kind == kind))
+            predicted = float(shape.joints.state[parts[0]]) if len(parts) else None
+            true = float(instance.joint_state[j])
+            self.joint_states.append(
+                JointState(**_which(instance, j), true=true, predicted=predicted)
+            )
+
+    def _measure_motion(self, instances: Instances, predicted: Predicted) -> None:
+        canonical, instance = instances
+        points, true = surface_of(canonical, self.protocol.points)
+        T_true = instance.part_motion
+        still = np.tile(np.eye(4), (len(points), 1, 1))
+        self.add(epe_nothing_moves=metrics.endpoint_error(points, true, T_true, still))
+        for which, names in (("all", self.labels), ("dominant", self.dominant)):
+            carrier = carriers(points, true, T_true, predicted[1], names)
+            for reading, motion in motions(*predicted).items():
+                T = np.where((carrier == NO_LABEL)[:, None, None], np.eye(4), motion[carrier])
+                error = metrics.endpoint_error(points, true, T_true, T)
+                self.add(**{f"epe_{reading}_{which}": error})
+
+    def _measure_joints(self, instances: Instances, predicted: Predicted) -> None:
+        """Appendix E: right where one part of the same kind is assigned, its error below a limit.
+
+        Kinds of joints that are read off motions are known, not predicted, their pivots are not;
+        what has hardly moved shows no direction.
+        """
+        canonical, instance = instances
+        both = joints_of(*predicted, kinds_of(self.labels, instance))
+        if both is None:
+            return
+        first, joints = both
+        fitted = predicted[1].joints is None
+        for j, kind in enumerate(instance.joint_kind.tolist()):
+            parts = np.flatnonzero(self.labels == j + 1)
+            same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
+            true_change = float(instance.joint_state[j] - canonical.joint_state[j])
+            judged = {"state", "direction", "axis"}
+            self.add(assigned_parts=float(len(parts)))
+            if fitted:
+                still = abs(true_change) < STILL[kind]
+                self.add(direction_not_judged=100.0 * still)
+                judged -= {"axis", "direction"} if still else {"axis"}
+            else:
+                self.add(type_accuracy=100.0 * same)
+            state = direction = axis = None
+            if same:
+                i = parts[0]
+                u, v = joints.direction[i], instance.joint_axis[j]
+                state = abs(joints.change_since(first, i, v) - true_change)
+                if "direction" in judged:
+                    direction = metrics.angle_between_lines(u, v)
+                if "axis" in judged and kind == JointKind.REVOLUTE:
+                    axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
+            error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
+            self.joint_errors.append(error)
+            self.add(**_right(error, judged))
+
+    def evaluation(self) -> Evaluation:
         rows = self.values.values()
         names = dict.fromkeys(name for row in rows for name in row)
         values = {name: [v for row in rows for v in row.get(name, ())] for name in names}
@@ -114,7 +221,6 @@ class Tally:
             dominant=tuple(self.dominant.tolist()),
             objects=self.objects,
             instances=len(values.get("label_iou", [])),
-            left_out=left_out,
             joint_states=tuple(self.joint_states),
             joint_lines=tuple(_joint_lines(self.joint_states)),
             joint_errors=tuple(self.joint_errors),
@@ -139,6 +245,7 @@ def evaluate(
     on: Path | None = None,
     finer: Reconstruct | None = None,
     on_object: Callable[[str], None] = lambda _: None,
+    measures: type[Tally] = Tally,
 ) -> Evaluation:
     """Evaluate on the test objects of a data set, or on all objects of another one.
 
@@ -153,33 +260,26 @@ def evaluate(
             of `data` vote for labels in either case.
         finer: the same on a finer grid, for a `finer_label_iou` by the same votes: the paper names
             a grid for F-score and Chamfer-L1, but none for labels.
+        measures: what is measured, by which rules.
 
     Raises:
         UnfitData: a data set has no training or no test object, or is of another category.
     """
     check_splits(data, category, on)
-    tally = Tally(*label_votes(data, reconstruct, protocol, on_object))
-    for canonical, *posed in tested(data, on, protocol.states):
+    tally = measures(protocol, *label_votes(data, reconstruct, protocol, on_object))
+    for instances in tested(data, on, protocol.states):
         tally.objects += 1
-        first = reconstruct(canonical)
-        tally.at(canonical)
-        _measure_shape(tally, canonical, first, protocol)
-        _note_joint_states(tally, canonical, first)
-        for instance in posed:
+        first: Canonical = None
+        for instance in instances:
             predicted = reconstruct(instance)
             tally.at(instance)
-            matched = _measure_shape(tally, instance, predicted, protocol)
-            _note_joint_states(tally, instance, predicted)
-            _measure_motion(tally, (canonical, instance), (first, predicted), protocol)
-            _measure_joints(tally, (canonical, instance), (first, predicted))
-            for errors in (pose_errors, joint_errors):
-                for name, error in errors((canonical, instance), (first, predicted), matched):
-                    tally.add(**{name: error})
-        if finer and first.whole is not None:
-            for instance in (canonical, *posed):
+            tally.measure(instance, predicted, first)
+            first = first or (instance, predicted)
+        if finer and first and first[1].whole is not None:
+            for instance in instances:
                 tally.at(instance)
-                tally.add_label_iou(*_nearest_parts(instance, finer(instance), protocol), "finer_")
-        on_object(canonical.object_id)
+                tally.add_label_iou(*nearest_parts(instance, finer(instance), protocol), "finer_")
+        on_object(instances[0].object_id)
     return tally.evaluation()
 
 
@@ -216,11 +316,8 @@ def label_votes(
     ballots, more = [], []
     for instances in objects_of(data, "train", protocol.states if of_all else 0):
         for instance in instances:
-            points, true = surface_of(instance, protocol.points)
             predicted = reconstruct(instance)
-            near = metrics.nearest_part(
-                points, predicted.triangles, predicted.part, predicted.parts
-            )
+            near, true = nearest_parts(instance, predicted, protocol)
             cast = metrics.votes(near, true, predicted.parts, len(instance.part_motion))
             (more if instance.state_index else ballots).append(cast)
         on_object(instances[0].object_id)
@@ -254,38 +351,7 @@ def surface_of(instance: Instance, count: int) -> tuple[Floats, Ints]:
     return dequantize(instance.surface_points[kept]), part[kept]
 
 
-def _measure_shape(
-    tally: Tally, instance: Instance, predicted: Reconstruction, protocol: Protocol
-) -> Matching:
-    near, true = _nearest_parts(instance, predicted, protocol)
-    matched = matching(near, true, instance, predicted.parts)
-    tally.add_label_iou(near, true)
-    tally.add(matched_part_iou=float(np.nanmean(matched.iou)))
-    grid = instance.occupancy.get(len(predicted.occupied))
-    if grid is not None:
-        true_grid = is_material(grid) if protocol.occupancy == "material" else grid > 0
-        tally.add(
-            reconstruction_iou=metrics.occupancy_iou(predicted.occupied, true_grid),
-            voxels_label_iou=_voxels_label_iou(grid, *surface_of(instance, protocol.points)),
-        )
-    if predicted.whole is None:
-        return matched
-    surface = dequantize(instance.surface_points)
-    to_predicted = np.minimum(distance(surface, predicted.whole), DIAGONAL)
-    to_true = np.full(1, DIAGONAL)
-    if len(predicted.whole):
-        rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-        drawn = sample(predicted.whole, protocol.surface_samples, rng)
-        to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
-    tally.add(
-        chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
-        f_score=100.0 * metrics.f_score(to_true, to_predicted, protocol.f_threshold),
-        no_surface=float(not len(predicted.whole)),
-    )
-    return matched
-
-
-def _nearest_parts(
+def nearest_parts(
     instance: Instance, predicted: Reconstruction, protocol: Protocol
 ) -> tuple[Ints, Ints]:
     """Return the predicted part (n,) that is nearest to each surface point, and its true one
@@ -315,25 +381,6 @@ def motions(first: Reconstruction, second: Reconstruction) -> dict[str, Floats]:
     return {name: motion for name, motion in readings.items() if motion is not None}
 
 
-def _measure_motion(
-    tally: Tally,
-    instances: tuple[Instance, Instance],
-    predicted: tuple[Reconstruction, Reconstruction],
-    protocol: Protocol,
-) -> None:
-    canonical, instance = instances
-    points, true = surface_of(canonical, protocol.points)
-    T_true = instance.part_motion
-    still = np.tile(np.eye(4), (len(points), 1, 1))
-    tally.add(epe_nothing_moves=metrics.endpoint_error(points, true, T_true, still))
-    for which, names in (("all", tally.labels), ("dominant", tally.dominant)):
-        carrier = carriers(points, true, T_true, predicted[1], names)
-        for reading, motion in motions(*predicted).items():
-            T = np.where((carrier == NO_LABEL)[:, None, None], np.eye(4), motion[carrier])
-            error = metrics.endpoint_error(points, true, T_true, T)
-            tally.add(**{f"epe_{reading}_{which}": error})
-
-
 def carriers(
     points: Floats, true: Ints, T_true: Floats, predicted: Reconstruction, label: Ints
 ) -> Ints:
@@ -355,16 +402,6 @@ def carriers(
     return carrier
 
 
-def _note_joint_states(tally: Tally, instance: Instance, shape: Reconstruction) -> None:
-    if shape.joints is None:
-        return
-    for j, kind in enumerate(instance.joint_kind.tolist()):
-        parts = np.flatnonzero((tally.dominant == j + 1) & (shape.joints.kind == kind))
-        predicted = float(shape.joints.state[parts[0]]) if len(parts) else None
-        true = float(instance.joint_state[j])
-        tally.joint_states.append(JointState(**_which(instance, j), true=true, predicted=predicted))
-
-
 def _which(instance: Instance, joint: int) -> dict[str, Any]:
     """Return whose record it is, of a joint of an instance."""
     kind = KINDS[int(instance.joint_kind[joint])]
@@ -381,48 +418,6 @@ def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
         line = metrics.line_through(*np.array(known, np.float64).reshape(-1, 2).T)
         fit = dict(zip(("slope", "offset", "residual"), line or (None,) * 3, strict=True))
         yield JointLine(joint=joint, kind=kind, states=len(pairs), predicted=len(known), **fit)
-
-
-def _measure_joints(
-    tally: Tally,
-    instances: tuple[Instance, Instance],
-    predicted: tuple[Reconstruction, Reconstruction],
-) -> None:
-    """Appendix E: right where one part of the same kind is assigned, its error below a limit.
-
-    Kinds of joints that are read off motions are known, not predicted, their pivots are not; what
-    has hardly moved shows no direction.
-    """
-    canonical, instance = instances
-    both = joints_of(*predicted, kinds_of(tally.labels, instance))
-    if both is None:
-        return
-    first, joints = both
-    fitted = predicted[1].joints is None
-    for j, kind in enumerate(instance.joint_kind.tolist()):
-        parts = np.flatnonzero(tally.labels == j + 1)
-        same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
-        true_change = float(instance.joint_state[j] - canonical.joint_state[j])
-        judged = {"state", "direction", "axis"}
-        tally.add(assigned_parts=float(len(parts)))
-        if fitted:
-            still = abs(true_change) < STILL[kind]
-            tally.add(direction_not_judged=100.0 * still)
-            judged -= {"axis", "direction"} if still else {"axis"}
-        else:
-            tally.add(type_accuracy=100.0 * same)
-        state = direction = axis = None
-        if same:
-            i = parts[0]
-            u, v = joints.direction[i], instance.joint_axis[j]
-            state = abs(joints.change_since(first, i, v) - true_change)
-            if "direction" in judged:
-                direction = metrics.angle_between_lines(u, v)
-            if "axis" in judged and kind == JointKind.REVOLUTE:
-                axis = metrics.line_distance(joints.pivot[i], u, instance.joint_pivot[j], v)
-        error = JointError(**_which(instance, j), state=state, direction=direction, axis=axis)
-        tally.joint_errors.append(error)
-        tally.add(**_right(error, judged))
 
 
 def _right(error: JointError, judged: set[str]) -> dict[str, float]:

@@ -7,29 +7,28 @@ labelled as, are left out. Here alone it is counted what is left out. The releas
 F-score, Chamfer-L1 or the accuracy of joints, so there are none.
 """
 
-import dataclasses
 from collections import Counter
-from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from articugen.core.records import Floats
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.evaluation import metrics
 from articugen.evaluation.evaluate import (
+    Canonical,
     Protocol,
     Reconstruct,
     Tally,
     carriers,
-    check_splits,
-    label_votes,
     motions,
+    nearest_parts,
     surface_of,
-    tested,
 )
-from articugen.evaluation.metrics import NO_LABEL
+from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
+from articugen.evaluation.metrics import NO_LABEL, endpoint_error
 from articugen.evaluation.reconstruction import Reconstruction
 from articugen.evaluation.results import Evaluation, LeftOut
 from articugen.learning.ppd.learner import Predictor
@@ -61,19 +60,14 @@ def reconstruct(learner: Predictor, cloud: Floats, resolution: int) -> Reconstru
 
 
 def evaluate(
-    data: Path,
-    reconstruct: Reconstruct,
-    protocol: Protocol = WHOLE,
-    *,
-    category: str | None = None,
-    on: Path | None = None,
-    on_object: Callable[[str], None] = lambda _: None,
+    data: Path, reconstruct: Reconstruct, protocol: Protocol = WHOLE, **how: Any
 ) -> Evaluation:
     """Evaluate on the test objects of a data set, or on all of another, by the release's rules.
 
     Args:
         reconstruct: gives `release_meshes`.
         protocol: its `points` are also how many are sampled on a predicted part.
+        how: as `evaluation.evaluate.evaluate` takes it.
 
     Returns:
         What `evaluate` returns, with fewer means, without joints, and with `left_out`: the
@@ -82,26 +76,12 @@ def evaluate(
     Raises:
         UnfitData: a data set has no training or no test object, or is of another category.
     """
-    check_splits(data, category, on)
 
     def in_points(instance: Instance) -> Reconstruction:
         rng = generator(0, "release", instance.object_id, instance.state_index)
         return as_points(reconstruct(instance), protocol.points, rng)
 
-    tally = Tally(*label_votes(data, in_points, protocol, on_object))
-    left_out: Counter[str] = Counter()
-    for canonical, *posed in tested(data, on, protocol.states):
-        tally.objects += 1
-        first = in_points(canonical)
-        tally.at(canonical)
-        _label_iou(tally, left_out, canonical, first, protocol)
-        for instance in posed:
-            predicted = in_points(instance)
-            tally.at(instance)
-            _label_iou(tally, left_out, instance, predicted, protocol)
-            _epe(tally, left_out, (canonical, instance), (first, predicted), protocol)
-        on_object(canonical.object_id)
-    return tally.evaluation(LeftOut(**left_out))
+    return evaluate_as_paper(data, in_points, protocol, measures=_Tally, **how)
 
 
 def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
@@ -111,44 +91,38 @@ def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Re
         for i in np.unique(shape.part).tolist()
     ]
     points = np.concatenate([np.zeros((0, 3)), *(points for _, points in drawn)])
-    return dataclasses.replace(
+    return replace(
         shape,
         triangles=np.repeat(points[:, None], 3, axis=1),
         part=np.repeat([i for i, _ in drawn], count).astype(np.int64),
     )
 
 
-def _label_iou(
-    tally: Tally,
-    left_out: Counter[str],
-    instance: Instance,
-    predicted: Reconstruction,
-    protocol: Protocol,
-) -> None:
-    if not len(predicted.triangles):
-        left_out["instances_label_iou"] += 1
-        return
-    points, true = surface_of(instance, protocol.points)
-    near = metrics.nearest_part(points, predicted.triangles, predicted.part, predicted.parts)
-    tally.add_label_iou(near, true)
+@dataclass
+class _Tally(Tally):
+    """Measures by the release's rules, and what these leave out."""
 
+    left_out: Counter[str] = field(default_factory=Counter)
 
-def _epe(
-    tally: Tally,
-    left_out: Counter[str],
-    instances: tuple[Instance, Instance],
-    predicted: tuple[Reconstruction, Reconstruction],
-    protocol: Protocol,
-) -> None:
-    canonical, instance = instances
-    points, true = surface_of(canonical, protocol.points)
-    T_true = instance.part_motion
-    carrier = carriers(points, true, T_true, predicted[1], tally.labels)
-    kept = carrier != NO_LABEL
-    left_out["parts_epe"] += len(np.unique(true)) - len(np.unique(true[kept]))
-    if not kept.any() or not len(predicted[1].triangles):
-        left_out["instances_epe"] += 1
-        return
-    for reading, motion in motions(*predicted).items():
-        error = metrics.endpoint_error(points[kept], true[kept], T_true, motion[carrier[kept]])
-        tally.add(**{f"epe_{reading}_all": error})
+    def measure(self, instance: Instance, predicted: Reconstruction, first: Canonical) -> None:
+        if not len(predicted.triangles):
+            self.left_out["instances_label_iou"] += 1
+        else:
+            self.add_label_iou(*nearest_parts(instance, predicted, self.protocol))
+        if first is None:
+            return
+        points, true = surface_of(first[0], self.protocol.points)
+        T_true = instance.part_motion
+        carrier = carriers(points, true, T_true, predicted, self.labels)
+        kept = carrier != NO_LABEL
+        self.left_out["parts_epe"] += len(np.unique(true)) - len(np.unique(true[kept]))
+        if not kept.any() or not len(predicted.triangles):
+            self.left_out["instances_epe"] += 1
+            return
+        for reading, motion in motions(first[1], predicted).items():
+            error = endpoint_error(points[kept], true[kept], T_true, motion[carrier[kept]])
+            self.add(**{f"epe_{reading}_all": error})
+
+    def evaluation(self) -> Evaluation:
+        left_out = LeftOut(**self.left_out)
+        return super().evaluation().model_copy(update={"left_out": left_out})
