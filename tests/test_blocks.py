@@ -22,7 +22,8 @@ def terms_of(net, spoil=()):
 
 def steps(patient, spoils=((),)):
     net = network()
-    descent = Descent(net, patient=patient)
+    descent = Descent(net)
+    descent.patient = patient
     for iteration, spoil in enumerate(spoils):
         terms = terms_of(net, spoil)
         descent.step(terms, lambda: terms_of(net, spoil), iteration, 0.1)  # noqa: B023
@@ -44,8 +45,7 @@ def test_the_first_fault_is_the_one_that_is_named():
 
 
 def test_a_gradient_alone_is_noted():
-    net = network()
-    descent = Descent(net, patient=True)
+    net, descent = steps(True, [])
     term = (net.weight - net.weight.detach()).square().sum().sqrt()  # 0, with a slope of 0 / 0
     assert float(term.detach()) == 0.0
     descent.step({"steep": term}, dict, 6, 0.1)

@@ -258,22 +258,17 @@ class Descent:
 
     Args:
         optimiser: as recipes call it.
-        patient: note instead of asking; what a GPU gets if not given.
         betas: of Adam.
+
+    Attributes:
+        patient: note instead of asking, as on a GPU.
     """
 
-    def __init__(
-        self,
-        network: nn.Module,
-        optimiser: str = "adam",
-        patient: bool | None = None,
-        betas: Betas = BETAS,
-    ) -> None:
+    def __init__(self, network: nn.Module, optimiser: str = "adam", betas: Betas = BETAS) -> None:
         self.network = network
-        device = next(network.parameters()).device.type
         self.optimiser = optimiser_of(optimiser, network, betas)
         self._parameters = list(network.parameters())  # found once: to walk a network takes long
-        self.patient = device != "cpu" if patient is None else patient
+        self.patient = self._parameters[0].device.type != "cpu"
         self._names: tuple[str, ...] = ()
         self._noted: Tensor | None = None
 

@@ -21,14 +21,7 @@ from articugen.core.errors import InvalidCheckpoint, TrainingDiverged
 from articugen.core.files import write_atomically
 from articugen.core.memory import given_back
 from articugen.core.processes import Crew, report
-from articugen.learning.loop import (
-    SEEDS,
-    SHARDS,
-    Notify,
-    Progress,
-    Training,
-    train,
-)
+from articugen.learning.loop import SEEDS, SHARDS, Notify, Progress, Training, train
 from articugen.learning.method import find_method
 from articugen.learning.run_folder import BEST, LATEST, META, METRICS, RunFolder, read_checkpoint
 
@@ -72,17 +65,10 @@ class Heat:
         return validations[0]
 
 
-def race(
-    what: Training,
-    *,
-    stop_after: int | None = None,
-    jobs: int = 1,
-    on_progress: Notify = lambda _: None,
-) -> RunFolder:
+def race(what: Training, *, jobs: int = 1, on_progress: Notify = lambda _: None) -> RunFolder:
     """Train `recipe.seeds.count` seeds from the training's on, halving them, and keep the best.
 
     Args:
-        stop_after: stop when who goes on after this iteration is decided, as an interruption would.
         jobs: seeds that are trained at a time, each in a process and on one thread of its own. The
             outcome is the same whatever it is.
         on_progress: called after each iteration of each seed.
@@ -115,8 +101,6 @@ def race(
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
-                if stop_after is not None and stop > stop_after:
-                    return run
                 reached = crew.in_order([Heat(replace(alone, seed=s), stop) for s in racing])
                 score = dict(zip(racing, reached, strict=True))
                 racing = best_half(score, last=stop == total)

@@ -119,9 +119,9 @@ class Checkpoint:
         """Write it in one step."""
         write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
 
-    def learner(self, device: torch.device = CPU) -> Learner:
-        """Return the learner, ready for predictions or to go on."""
-        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=device)
+    def learner(self) -> Learner:
+        """Return the learner, on the CPU, ready for predictions or to go on."""
+        learner = find_method(self.recipe.method).start(self.recipe, seed=0, device=CPU)
         learner.load(self.state)
         return learner
 
