@@ -234,10 +234,10 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
 
 
-def widened(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
-    """Return grids (G, R, R, R) of bits with those of all cells up to `reach` away along each
-    axis."""
-    for axis in (1, 2, 3):
+def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> NDArray[Any]:
+    """Return grids (G, R, R, R) of bits with those of all cells up to `steps` away along each of
+    the axes."""
+    for axis in axes:
         wider = bits.copy()
         before, after = np.moveaxis(bits, axis, 0), np.moveaxis(wider, axis, 0)
         for step in range(1, steps + 1):

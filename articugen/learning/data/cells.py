@@ -19,6 +19,7 @@ from torch import Tensor
 from articugen.core.arrays import Bools
 from articugen.core.errors import UnfitData
 from articugen.core.seeding import generator
+from articugen.discovery.clouds import widened
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.fitness import check_varies
 from articugen.store.shards import Shard
@@ -122,19 +123,8 @@ def _packed_near(mask: Bools) -> NDArray[np.uint8]:
     """Return the cells within `REACH` cells, along each axis, of one that is set: eight a byte
     along z."""
     apart = np.pad(mask, ((0, 0), (0, 0), (0, REACH)))  # one line of cells: long moves are fast
-    along = _widened(apart.ravel(), 0).reshape(apart.shape)[..., : mask.shape[2]]
-    packed = np.packbits(along, axis=2)
-    return _widened(_widened(packed, 0), 1)
-
-
-def _widened(mask: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Return each cell joined with those within `REACH` cells along one axis."""
-    wide = mask.copy()
-    into, of = np.moveaxis(wide, axis, 0), np.moveaxis(mask, axis, 0)
-    for step in range(1, REACH + 1):
-        into[step:] |= of[:-step]
-        into[:-step] |= of[step:]
-    return wide
+    along = widened(apart.ravel(), REACH, (0,)).reshape(apart.shape)
+    return widened(np.packbits(along[..., : mask.shape[2]], axis=2), REACH, (0, 1))
 
 
 def cells_of(
