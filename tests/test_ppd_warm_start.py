@@ -18,14 +18,7 @@ from articugen.learning.ppd.network import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm import found as found_module
-from articugen.learning.ppd.warm.found import (
-    _Asked,
-    _Clouds,
-    _look,
-    _looked_for,
-    discovered,
-    kinds_of,
-)
+from articugen.learning.ppd.warm.found import _Asked, _look, _looked_for, discovered, kinds_of
 from articugen.learning.ppd.warm.targets import (
     _from_closed,
     _owned,
@@ -366,7 +359,7 @@ def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
         poses = np.array(posed([part], far * (1.0 + 0.1 * k) * states[:, None]))
         stored = np.round((0.5 * poses + 0.5) * 65535).astype(np.uint16)
         unknown = np.zeros(stored.shape, np.int8)
-        clouds.append(_Clouds(stored.view(np.int16), unknown))
+        clouds.append((stored.view(np.int16), unknown))
     said = []
     found = _looked_for(clouds, WAYS, tmp_path, said.append)
     first, last = (

@@ -8,9 +8,8 @@ import os
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -43,6 +42,9 @@ Found = list[Discovery | None]
 
 Notify = Callable[[str], None]
 
+_Clouds = tuple[NDArray[np.int16], NDArray[np.int8]]
+"""An object's poses as they are stored: points and normals (K, n, 3)."""
+
 
 def discovered(
     training: PackedSplit,
@@ -67,7 +69,10 @@ def discovered(
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
-    clouds = [_Clouds.of(training, some) for some in rows]
+    clouds = [
+        (training.surface[some].cpu().numpy(), training.normals[some].cpu().numpy())
+        for some in map(torch.from_numpy, rows)
+    ]
     path = beside / f"joints-{_digest(clouds, directions)}.safetensors"
     if path.is_file():
         kept = read_tensors(path, FORMAT)["objects"]
@@ -95,25 +100,7 @@ def kinds_of(discoveries: Found) -> set[JointKind]:
     }
 
 
-@dataclass(frozen=True)
-class _Clouds:
-    """An object's poses as they are stored: `points` and `normals` (K, n, 3)."""
-
-    points: NDArray[np.int16]
-    normals: NDArray[np.int8]
-
-    @staticmethod
-    def of(split: PackedSplit, rows: NDArray[np.intp]) -> _Clouds:
-        at = torch.from_numpy(rows)
-        return _Clouds(split.surface[at].cpu().numpy(), split.normals[at].cpu().numpy())
-
-    def unpacked(self) -> NDArray[np.float64]:
-        """Return (K, n, 3) the points, in the unit frame."""
-        return unpacked(torch.from_numpy(self.points)).double().numpy()
-
-
-@dataclass(frozen=True)
-class _Asked:
+class _Asked(NamedTuple):
     """The poses of an object; the kinds of joints to look for, and where those point; the file for
     what is found."""
 
@@ -158,7 +145,7 @@ def _look(task: _Asked) -> Discovery | None:
     """Return what is found in an object, or was found there before this run was killed."""
     with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
         return _read(read_tensors(task.path, FORMAT)["object"], task.poses)
-    points, normals = list(task.poses.unpacked()), list(task.poses.normals / 127.0)
+    points, normals = list(_points(task.poses)), list(task.poses[1] / 127.0)
     outcome = None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
         outcome = discover(points, normals=normals, kinds=task.kinds, directions=task.directions)
@@ -171,10 +158,15 @@ def _look(task: _Asked) -> Discovery | None:
 def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
     axes = {str(kind): some.tolist() for kind, some in sorted(directions.items())}
     hashed = hashlib.sha256(json.dumps(axes).encode())
-    for cloud in clouds:
-        hashed.update(f"{cloud.points.shape}".encode())
-        hashed.update(cloud.points.tobytes() + cloud.normals.tobytes())
+    for points, normals in clouds:
+        hashed.update(f"{points.shape}".encode())
+        hashed.update(points.tobytes() + normals.tobytes())
     return hashed.hexdigest()[:16]
+
+
+def _points(poses: _Clouds) -> NDArray[np.float64]:
+    """Return (K, n, 3) the points, in the unit frame."""
+    return unpacked(torch.from_numpy(poses[0])).double().numpy()
 
 
 def _plain(discovery: Discovery | None) -> dict[str, Any]:
@@ -195,4 +187,4 @@ def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
             *(kept[name].numpy() for name in _JOINT), strict=True
         )
     )
-    return Discovery(joints, poses.unpacked()[0], kept["part"].numpy().astype(np.int64))
+    return Discovery(joints, _points(poses)[0], kept["part"].numpy().astype(np.int64))
