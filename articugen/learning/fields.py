@@ -180,10 +180,8 @@ def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
     owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
     least = most = owner
     for axis in range(3):
-        rolled = [np.roll(least, step, axis) for step in (-1, 0, 1)]
-        least = np.minimum.reduce(rolled)
-        rolled = [np.roll(most, step, axis) for step in (-1, 0, 1)]
-        most = np.maximum.reduce(rolled)
+        least = np.minimum.reduce([np.roll(least, step, axis) for step in (-1, 0, 1)])
+        most = np.maximum.reduce([np.roll(most, step, axis) for step in (-1, 0, 1)])
     return (least != most)[1:-1, 1:-1, 1:-1]
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from articugen.core.geometry import voxel_centres
 from articugen.core.records import Floats
 from articugen.evaluation.reconstruction import Reconstruction
 from articugen.learning.method import Learner, Method, Terms
@@ -55,9 +56,8 @@ class OnePartLearner(Learner):
         low, high = cloud.min(0), cloud.max(0)
         mesh = box(np.maximum(high - low, 1e-6))
         surface = (mesh.vertices + (low + high) / 2.0)[mesh.faces]
-        centres = np.moveaxis(np.indices(3 * [resolution]), 0, 3)
-        centres = (centres + 0.5) / resolution - 0.5
-        occupied = ((low <= centres) & (centres <= high)).all(-1)
+        centres = voxel_centres(resolution)
+        occupied = ((low <= centres) & (centres <= high)).all(1).reshape(3 * [resolution])
         return Reconstruction(surface, np.zeros(len(surface), int), surface, occupied, parts=1)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.colours import colour_of
+from articugen.core.colours import colour_of, rgb
 from articugen.core.errors import ArticugenError, InvalidSource, UnfitData
 from articugen.core.files import write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
@@ -209,8 +209,8 @@ def write_rig(
         if len(triangles):
             file = f"{prefix}{link}.obj"
             write_atomically(folder / file, obj_text([_welded(triangles - origin)]).encode())
-            red, green, blue = (int(colour_of(i)[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
-            links[link] = [Visual(file, rgba=(red, green, blue, 1.0))]
+            red, green, blue = rgb(colour_of(i))
+            links[link] = [Visual(file, rgba=(red / 255.0, green / 255.0, blue / 255.0, 1.0))]
         if shape.joints and kind != JointKind.FIXED:
             joints.append(_moving(shape.joints, i, origin, frame.scale))
         elif i:

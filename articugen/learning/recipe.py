@@ -6,7 +6,7 @@ adds sections of its own (`learning/ppd/settings.py`); `method` says whose recip
 
 import hashlib
 import math
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, ClassVar, Literal, TypeVar
 
 import yaml
@@ -85,12 +85,8 @@ class Schedule(Section):
 
     def index_at(self, iteration: int) -> int:
         """Return the index of the stage that an iteration (from 0) belongs to."""
-        last = len(self.stages) - 1
-        return next((i for i in range(last) if iteration < self.first_of(i + 1)), last)
-
-    def first_of(self, index: int) -> int:
-        """Return the first iteration of a stage."""
-        return sum(stage.iterations for stage in self.stages[:index])
+        ends = accumulate(stage.iterations for stage in self.stages[:-1])
+        return sum(iteration >= end for end in ends)
 
     def rate_at(self, iteration: int) -> float:
         """Return the learning rate of an iteration."""

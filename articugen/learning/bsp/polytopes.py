@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 
 import numpy as np
@@ -98,10 +99,7 @@ def reconstruction_of_polytopes(
 ) -> Reconstruction:
     """Return convexes as parts, each with its polygons; the whole is drawn on a grid."""
     points = grid_centres(resolution).double().numpy()
-    inside = np.full(len(points), -1.0)
-    surfaces: list[Floats] = [np.zeros((0, 3, 3)) for _ in convexes]
-    for k, convex in enumerate(convexes):
-        if convex is not None:
-            surfaces[k] = convex.triangles()
-            np.maximum(inside, convex.clearance(points), out=inside)
+    surfaces = [c.triangles() if c else np.zeros((0, 3, 3)) for c in convexes]
+    clearances = (c.clearance(points) for c in convexes if c)
+    inside = reduce(np.maximum, clearances, np.full(len(points), -1.0))
     return reconstruction_of_surfaces(surfaces, inside.reshape(3 * [resolution]))
