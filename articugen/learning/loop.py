@@ -186,7 +186,7 @@ class Training:
         iteration = point.iteration if point else 0
         windows, held_out = self.instances(learner, iteration, notify)
         held_out, run = held_out.to(torch.device(self.device)), run or self.new_run()
-        course = Course(learner, windows, held_out, run, self.beside, self.category, self.seed)
+        course = Course(self, learner, windows, held_out, run)
         if self.windows:
             course.stay = self.windows.stay
         if point:
@@ -201,20 +201,16 @@ class Course:
 
     Attributes:
         windows: the training instances that come next.
-        beside: as `Learner.begin` takes it.
         stay: iterations for which instances are learned from.
-        seed: of the batches and everything drawn.
         iteration, best: how many iterations are done; the lowest validation loss so far.
         begun: the clock's seconds where the first iteration began, had nothing interrupted the run.
     """
 
+    what: Training
     learner: Learner
     windows: Iterator[PackedSplit]
     held_out: PackedSplit
     run: RunFolder
-    beside: Path
-    category: str
-    seed: int
     stay: int = sys.maxsize
     iteration: int = 0
     best: float = math.inf
@@ -228,13 +224,13 @@ class Course:
         """Return the training instances that come next, for which the learner is prepared."""
         with given_back(SHARDS):
             training = next(self.windows).to(self.held_out.surface.device)
-            self.learner.begin(training, self.beside, notify)
+            self.learner.begin(training, self.what.beside, notify)
             return training.for_batches()
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
-        state, where = self.learner.state(), (self.category, self.seed, self.iteration, self.best)
-        self.run.keep(Checkpoint(self.learner.settings, *where, state), name)
+        about = self.what.category, self.what.seed, self.iteration, self.best
+        self.run.keep(Checkpoint(self.learner.settings, *about, self.learner.state()), name)
 
     def note(
         self, terms: Mapping[str, Tensor], log: Log, *, stops: bool
@@ -300,9 +296,9 @@ def train(
             if iteration > begin and iteration % course.stay == 0:
                 training = course.renewed(notify)
             rng = torch.Generator(training.surface.device)
-            rng.manual_seed(draw(course.seed, method, "batch", iteration))
+            rng.manual_seed(draw(what.seed, method, "batch", iteration))
             resolution = plan.stages[plan.index_at(iteration)].resolution
-            rows = batch_rows(iteration, plan.batch, len(training), course.seed, method)
+            rows = batch_rows(iteration, plan.batch, len(training), what.seed, method)
             batch = training.batch(rows, learner.inputs, resolution, rng)
             terms = learner.learn(batch, rng, iteration=iteration)
 
