@@ -162,6 +162,16 @@ class Method(Protocol):
         return {}
 
 
+@dataclass(frozen=True)
+class PlainMethod(Method):
+    """Method that adds nothing to what all have."""
+
+    name: str
+    recipe: str
+    Settings: type[TrainRecipe]
+    learner: str
+
+
 def find_method(name: str) -> Method:
     """Return the method `name`.
 

@@ -14,7 +14,7 @@ import numpy as np
 from articugen.core.geometry import voxel_centres
 from articugen.core.records import Floats
 from articugen.evaluation.reconstruction import Reconstruction
-from articugen.learning.method import Learner, Method, Terms
+from articugen.learning.method import Learner, PlainMethod, Terms
 from articugen.learning.recipe import TrainRecipe
 from articugen.meshes.read import box
 
@@ -61,11 +61,6 @@ class OnePartLearner(Learner):
         return Reconstruction(surface, np.zeros(len(surface), int), surface, occupied, parts=1)
 
 
-class OnePart(Method):
-    name = "one_part"
-    recipe = "one_part"
-    Settings = OnePartRecipe
-    learner = "articugen.learning.one_part:OnePartLearner"
-
-
-METHOD = OnePart()
+METHOD = PlainMethod(
+    "one_part", "one_part", OnePartRecipe, "articugen.learning.one_part:OnePartLearner"
+)

@@ -6,14 +6,6 @@ the points of a cloud fill, and query points are centres of cells, half of them 
 """
 
 from articugen.learning.bae.settings import BAERecipe
-from articugen.learning.method import Method
+from articugen.learning.method import PlainMethod
 
-
-class BAEMethod(Method):
-    name = "bae"
-    recipe = "bae"
-    Settings = BAERecipe
-    learner = "articugen.learning.bae.learner:BAELearner"
-
-
-METHOD = BAEMethod()
+METHOD = PlainMethod("bae", "bae", BAERecipe, "articugen.learning.bae.learner:BAELearner")

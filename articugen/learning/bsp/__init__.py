@@ -6,14 +6,6 @@ those of `learning/bae`, not those of the authors' program.
 """
 
 from articugen.learning.bsp.settings import BSPRecipe
-from articugen.learning.method import Method
+from articugen.learning.method import PlainMethod
 
-
-class BSPMethod(Method):
-    name = "bsp"
-    recipe = "bsp"
-    Settings = BSPRecipe
-    learner = "articugen.learning.bsp.learner:BSPLearner"
-
-
-METHOD = BSPMethod()
+METHOD = PlainMethod("bsp", "bsp", BSPRecipe, "articugen.learning.bsp.learner:BSPLearner")

@@ -5,15 +5,7 @@ A rigid fit of these places to the points is a part's pose. It predicts neither 
 joint states and directions follow from how poses differ, pivots are not known.
 """
 
-from articugen.learning.method import Method
+from articugen.learning.method import PlainMethod
 from articugen.learning.npcs.settings import NPCSRecipe
 
-
-class NPCSMethod(Method):
-    name = "npcs"
-    recipe = "npcs"
-    Settings = NPCSRecipe
-    learner = "articugen.learning.npcs.learner:NPCSLearner"
-
-
-METHOD = NPCSMethod()
+METHOD = PlainMethod("npcs", "npcs", NPCSRecipe, "articugen.learning.npcs.learner:NPCSLearner")

@@ -4,15 +4,7 @@ A star is all that can be seen from its centre: a radius for each direction. As 
 has it, a radius is a network of direction and code, not a sum of spherical harmonics.
 """
 
-from articugen.learning.method import Method
+from articugen.learning.method import PlainMethod
 from articugen.learning.nsd.settings import NSDRecipe
 
-
-class NSDMethod(Method):
-    name = "nsd"
-    recipe = "nsd"
-    Settings = NSDRecipe
-    learner = "articugen.learning.nsd.learner:NSDLearner"
-
-
-METHOD = NSDMethod()
+METHOD = PlainMethod("nsd", "nsd", NSDRecipe, "articugen.learning.nsd.learner:NSDLearner")

@@ -5,15 +5,9 @@ search for the object's rotation, by an equivariant encoder; shards have all obj
 so here a PointNet takes its place and no rotation is searched for.
 """
 
-from articugen.learning.method import Method
+from articugen.learning.method import PlainMethod
 from articugen.learning.opalign.settings import OPAlignRecipe
 
-
-class OPAlignMethod(Method):
-    name = "opalign"
-    recipe = "opalign"
-    Settings = OPAlignRecipe
-    learner = "articugen.learning.opalign.learner:OPAlignLearner"
-
-
-METHOD = OPAlignMethod()
+METHOD = PlainMethod(
+    "opalign", "opalign", OPAlignRecipe, "articugen.learning.opalign.learner:OPAlignLearner"
+)
