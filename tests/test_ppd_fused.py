@@ -7,7 +7,7 @@ import pytest
 import torch
 from python_process import printed
 
-from articugen.learning.cpu import greatest
+from articugen.learning.cpu import kernels
 from articugen.learning.cpu.batches import takes_kernels
 from articugen.learning.ppd import shape
 from articugen.learning.ppd.cpu import sine_kernels, warm
@@ -128,7 +128,7 @@ def test_what_is_compiled_ahead_is_what_is_used(model):
     warm.networks()
     out, own = fields(model, 20)
     gradients(out, weights(out, "all"), own)
-    for kernel in (sine_kernels.forward, sine_kernels.backward, greatest.greatest):
+    for kernel in (sine_kernels.forward, sine_kernels.backward, kernels.greatest):
         assert len(kernel.signatures) == 1
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from articugen.core.geometry import rotation_about
 from articugen.learning.blocks import GridEncoder, PointNet, _merged, filled
 from articugen.learning.cpu.batches import argmax_of_points, distinct, takes_kernels
-from articugen.learning.cpu.patches import patches
+from articugen.learning.cpu.kernels import patches
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd.discriminator import Discriminator
 from articugen.learning.ppd.kinematics import inverse_motion, joint_frames, rotation_from_z

@@ -21,7 +21,7 @@ from articugen.learning.cpu.batches import (
     spares,
     takes_kernels,
 )
-from articugen.learning.cpu.patches import patches
+from articugen.learning.cpu.kernels import patches
 from articugen.learning.data.batch import Batch
 from articugen.learning.method import Learner, Terms
 from articugen.learning.optimisers import BETAS, Betas, optimiser_of

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from articugen.learning.cpu.greatest import greatest
+from articugen.learning.cpu.kernels import greatest
 
 
 def gather_points(points: Tensor, index: Tensor) -> Tensor:

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from articugen.learning.cpu.greatest import greatest
-from articugen.learning.cpu.patches import patches
+from articugen.learning.cpu.kernels import greatest, patches
 from articugen.learning.ppd.cpu import sine_kernels
 
 
