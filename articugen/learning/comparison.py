@@ -5,7 +5,6 @@ with a run for each seed, so that what is finished is known, and what was stoppe
 """
 
 import re
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +23,7 @@ from articugen.learning.budget import scaled_to
 from articugen.learning.loop import Notify, Progress, Training
 from articugen.learning.method import load_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.run_folder import LATEST, RunFolder
+from articugen.learning.run_folder import RunFolder
 from articugen.store.manifest import Manifest
 
 AT_ONCE = 2
@@ -60,12 +59,10 @@ class Entry:
 
     def _run(self, seed: int) -> None:
         path, notify = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
-        if not (path / LATEST).is_file():
-            shutil.rmtree(path, ignore_errors=True)
+        what = self.what.named(str(seed))
         recipe = self._scaled(notify)
-        resume = path if path.is_dir() else None
-        what = replace(self.what, recipe=recipe, seed=seed, name=str(seed), resume=resume)
-        if resume and (path / "evaluation" / FILE).is_file():
+        what = replace(what, recipe=recipe, seed=seed)
+        if what.resume and (path / "evaluation" / FILE).is_file():
             what.resumed(path)  # or raise that it is another one
             return
         loop.train(what, on_progress=notify)

@@ -6,10 +6,11 @@ resumed draws the same curve as one that was not.
 
 import hashlib
 import math
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,15 @@ class Training:
     device: str = "cpu"
     name: str | None = None
     window: int = OBJECTS
+
+    def named(self, name: str) -> "Training":
+        """Return the training of the run `name`, which resumes if it has a checkpoint; else what is
+        left of it is removed, since there is nothing to resume."""
+        path = self.runs / name
+        resume = path if (path / LATEST).is_file() else None
+        if not resume:
+            shutil.rmtree(path, ignore_errors=True)
+        return replace(self, name=name, resume=resume)
 
     @property
     def beside(self) -> Path:

@@ -8,11 +8,9 @@ processes take part.
 
 import json
 import math
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -35,32 +33,25 @@ class Heat:
     what: Training
     stop: int
 
-    @property
-    def path(self) -> Path:
-        """The folder of the seed's run."""
-        return self.what.runs / str(self.what.seed)
-
     def run(self) -> dict[str, float] | None:
         """Train from where the seed stands to `stop`; return the validation there."""
-        is_started = (self.path / LATEST).is_file()
-        if not is_started:  # without a checkpoint there is nothing to resume
-            shutil.rmtree(self.path, ignore_errors=True)
-        if not is_started or read_checkpoint(self.path / LATEST).iteration < self.stop:
-            resume = self.path if is_started else None
+        seed = self.what.seed
+        what, path = self.what.named(str(seed)), self.what.runs / str(seed)
+        if not what.resume or read_checkpoint(path / LATEST).iteration < self.stop:
             try:
                 train(
-                    replace(self.what, name=str(self.what.seed), resume=resume),
+                    what,
                     stop_after=self.stop,
-                    on_progress=lambda now: report(replace(now, who=f"seed {self.what.seed}")),
+                    on_progress=lambda now: report(replace(now, who=f"seed {seed}")),
                 )
             except TrainingDiverged:
                 return None
-        there = [r for r in RunFolder(self.path).metrics() if r["iteration"] == self.stop]
+        there = [r for r in RunFolder(path).metrics() if r["iteration"] == self.stop]
         validations = [r["validation"] for r in there if r.get("validation")]
         if not validations:
             raise InvalidCheckpoint(
-                f"{self.path / METRICS}: lacks the validation at iteration {self.stop}; delete "
-                f"{self.path} and resume the race"
+                f"{path / METRICS}: lacks the validation at iteration {self.stop}; delete "
+                f"{path} and resume the race"
             )
         return validations[0]
 
