@@ -350,7 +350,8 @@ def _read(
     """Return what is packed of a shard, by name; `finest` is the grid that cells are chosen from,
     or 0; `objects` are what its instances show, as it was found."""
     with opened() as shard:
-        check_shard(shard, spec, sorted({*resolutions, finest} - {0}))
+        every = sorted({*resolutions, finest} - {0})
+        check_shard(shard, spec, every)
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
             "surface_part": spec.parts or spec.motions,
@@ -368,16 +369,13 @@ def _read(
             row[name] = _told(row[name], spec)
         ids = np.array(shard.object_ids())
         names = ids if objects is None else objects
-        grids = {r: _grid(shard, r, ids, row["surface_points"], spec) for r in resolutions}
-        fine = grids.get(finest)
-        if finest and fine is None:
-            fine = _grid(shard, finest, ids, row["surface_points"], spec)
-        row |= {f"occupancy_{r}": grid for r, grid in grids.items()}
+        grids = {r: _grid(shard, r, ids, row["surface_points"], spec) for r in every}
+        row |= {f"occupancy_{r}": grids[r] for r in resolutions}
         row["hidden"] = np.zeros((len(names), 0), np.uint8)
         if spec.hidden:
             raw = shard.read(f"occupancy_{finest}").reshape(len(names), -1)
             row["hidden"] = np.packbits(raw != FREE, axis=1)
-        chosen = cells_of(names, row["state_index"], fine, spec, shard.path)
+        chosen = cells_of(names, row["state_index"], grids.get(finest), spec, shard.path)
         return {"object_id": names, **row, **chosen}
 
 
