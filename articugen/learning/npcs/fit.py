@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Floats
 from articugen.core.geometry import transform
 
 ROUNDS = 1000
@@ -42,10 +42,3 @@ def pose(coordinates: Floats, points: Floats, rng: np.random.Generator) -> Float
     best = inside[inside.sum(1).argmax()]
     _, R, shift = similarity(coordinates[best], points[best])
     return transform(R, shift)
-
-
-def poses(coordinates: Floats, points: Floats, part: Ints, rng: np.random.Generator) -> Floats:
-    """Return (K, 4, 4) the pose of each part, from coordinates (n, K, 3), as `pose` takes them, of
-    points (n, 3) of parts (n,)."""
-    parts = (part == k for k in range(coordinates.shape[1]))
-    return np.stack([pose(coordinates[on, k], points[on], rng) for k, on in enumerate(parts)])

@@ -15,7 +15,7 @@ from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, at_rest, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.npcs.fit import poses
+from articugen.learning.npcs.fit import pose
 from articugen.learning.npcs.network import KEPT, WIDTH, NPCSNet
 from articugen.learning.npcs.settings import NPCSRecipe
 
@@ -92,9 +92,10 @@ class NPCSLearner(NetworkLearner):
         self.network.eval()
         label, coordinate = (x[0].double().cpu().numpy() for x in self.network(seen_by_network))
         self.network.train()
-        part = label.argmax(1)
-        T = poses(coordinate - 0.5, points, part, generator(0, "npcs"))
-        return labelled_points(points, part, self.network.parts, T_part=T)
+        part, rng, parts = label.argmax(1), generator(0, "npcs"), self.network.parts
+        on = [part == k for k in range(parts)]
+        T = [pose(coordinate[on[k], k] - 0.5, points[on[k]], rng) for k in range(parts)]
+        return labelled_points(points, part, parts, T_part=np.stack(T))
 
 
 def errors(output: tuple[Tensor, Tensor], batch: Batch, boxes: Boxes) -> tuple[Tensor, Tensor]:
