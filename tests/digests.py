@@ -28,15 +28,27 @@ def digest(state: dict[str, Any]) -> str:
     return hashed.hexdigest()
 
 
+def curve(run: Any) -> list[dict[str, Any]]:
+    """Return all that a run has logged, but for the seconds that it took."""
+    return [{k: v for k, v in line.items() if k != "seconds"} for line in run.metrics()]
+
+
+def same_state(one: Any, other: Any) -> bool:
+    """Return whether two runs have come to the same."""
+    from articugen.learning.run_folder import LATEST, read_checkpoint  # noqa: PLC0415 - see above
+
+    ours, theirs = (digest(read_checkpoint(run.path / LATEST).state) for run in (one, other))
+    return ours == theirs
+
+
 def resumed_exactly(what: Any, *stops: int) -> Any:
-    """Train, and again with a stop after so many iterations, which must come to the same state;
-    return the run that was not stopped."""
+    """Train, and again with a stop after so many iterations, which must come to the same curve and
+    state; return the run that was not stopped."""
     from articugen.learning.loop import train  # noqa: PLC0415 - see above
-    from articugen.learning.run_folder import LATEST, read_checkpoint  # noqa: PLC0415
 
     whole = train(what)
     for stop in stops:
         run = train(replace(what, resume=train(what, stop_after=stop).path))
-        ours, theirs = (read_checkpoint(r.path / LATEST).state for r in (run, whole))
-        assert digest(ours) == digest(theirs)
+        assert curve(run) == curve(whole)
+        assert same_state(run, whole)
     return whole

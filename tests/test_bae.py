@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from learners import batch_of, parameters
 
 from articugen.learning.bae.network import BAENet
 from articugen.learning.bae.settings import BAERecipe, ModelSettings
 from articugen.learning.blocks import VoxelEncoder, occupied_voxels
 from articugen.learning.commands import evaluate
-from articugen.learning.data.batch import Batch
 from articugen.learning.loop import Training, train
 from articugen.learning.method import find_method, load_recipe
 
@@ -27,10 +27,6 @@ TINY = BAERecipe.model_validate(
         },
     }
 )  # fmt: skip
-
-
-def parameters(module) -> int:
-    return sum(p.numel() for p in module.parameters())
 
 
 @pytest.mark.parametrize(
@@ -97,10 +93,9 @@ def test_outputs_start_where_they_are_said_to():
 def test_the_loss_is_the_mean_square_and_the_last_layer_s_weights():
     learner = find_method("bae").start(TINY, seed=3, device=torch.device("cpu"))
     points, occupied = torch.rand(2, 30, 3) - 0.5, torch.rand(2, 30) < 0.3
-    cloud, rows = torch.rand(2, 40, 3) - 0.5, torch.arange(2)
-    none = torch.zeros(2, 0)
+    cloud = torch.rand(2, 40, 3) - 0.5
     with torch.no_grad():
-        terms = learner.loss(Batch(rows, cloud, none, points, occupied, 30, none))
+        terms = learner.loss(batch_of(cloud, points, occupied))
     assert set(terms) == {"rec", "l1"}
     net = learner.network
     output = net.whole(net.encode(cloud), points).detach().numpy()

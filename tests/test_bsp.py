@@ -8,6 +8,7 @@ import torch
 from digests import digest, resumed_exactly
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from learners import batch_of, parameters
 from ppd_data import write_boxes
 
 from articugen.learning.bsp import learner as lesson
@@ -41,7 +42,7 @@ def recipe(*stages: tuple[str, int], model=SMALL, **more) -> BSPRecipe:
 )
 def test_parameters_are_those_that_were_published(model, count):
     net = BSPLearner(recipe(("continuous", 1), model=model), 0, torch.device("meta")).network
-    assert sum(p.numel() for p in net.parameters()) == count
+    assert parameters(net) == count
 
 
 def test_the_recipes_are_of_the_paper_s_sizes_or_smaller():
@@ -147,11 +148,6 @@ def test_each_loss_is_what_its_formula_says(seed, inside):
     terms = lesson.weights_loss(ours_T, ours_W)
     assert float(terms["t"]) == pytest.approx(t)
     assert float(terms["w"]) == pytest.approx(sum(abs(w - 1.0) for w in W[:, 0]))
-
-
-def batch_of(cloud, points, occupied) -> Batch:
-    none = torch.zeros(len(cloud), 0)
-    return Batch(torch.arange(len(cloud)), cloud, none, points, occupied, points.shape[1], none)
 
 
 def test_each_stage_has_its_terms_and_the_first_iterations_are_fourfold():

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from digests import digest
+from digests import curve, resumed_exactly, same_state
+from learners import assert_alike, tiny
 from ppd_data import rewrite, write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
@@ -25,28 +26,15 @@ from articugen.learning.ppd.settings import (
     LossSettings,
     ModelSettings,
     PPDRecipe,
-    PPDSchedule,
     PPDStage,
 )
 from articugen.learning.recipe import DataSettings
-from articugen.learning.run_folder import BEST, LATEST, METRICS, RunFolder, read_checkpoint
+from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
 
-TINY = PPDRecipe(
-    name="tiny",
-    data=DataSettings(surface_points=400, grid_points=150, near_points=50, validation_objects=1),
-    schedule=PPDSchedule(
-        batch=3,
-        learning_rate=1e-3,
-        final_learning_rate=1e-4,
-        stages=(
-            PPDStage(resolution=8, iterations=3),
-            PPDStage(resolution=16, iterations=2, residual_direction=True),
-        ),
-        log_every=1,
-        validate_every=3,
-        save_every=100,
-    ),
-)
+TINY = tiny(
+    {"surface_points": 400, "grid_points": 150, "near_points": 50}, (8, 3), (16, 2),
+    batch=3, learning_rate=1e-3, final_learning_rate=1e-4, validate_every=3,
+)  # fmt: skip
 
 SPEC = BatchSpec.of(TINY.data)
 
@@ -59,10 +47,6 @@ def start(boxes, runs, recipe=TINY, *, seed=0, resume=None, **options):
 def whole(boxes, tmp_path_factory):
     """A run that nothing interrupted."""
     return start(boxes, tmp_path_factory.mktemp("whole"))
-
-
-def curve(run: RunFolder) -> list:
-    return [(r["iteration"], r.get("terms"), r.get("validation")) for r in run.metrics()]
 
 
 def test_an_object_whose_coarse_grids_are_empty_is_trained_on(tmp_path):
@@ -189,8 +173,7 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(boxes, tmp_path, whole
     part.log({"iteration": stop + 1, "terms": {"rec": 0.0}})  # written, but lost with the weights
     resumed = start(boxes, tmp_path / "part", resume=part.path)
     assert curve(resumed) == curve(whole)
-    one, two = (read_checkpoint(run.path / LATEST) for run in (whole, resumed))
-    assert digest(one.state) == digest(two.state)
+    assert same_state(resumed, whole)
 
 
 def with_soap():
@@ -213,12 +196,8 @@ def of_bae():
     ids=["soap", "bae", "stage"],
 )
 def test_so_it_does_with_another_optimiser_and_method(boxes, tmp_path, whole, recipe, stop):
-    full = start(boxes, tmp_path, recipe)
-    part = start(boxes, tmp_path, recipe, stop_after=stop)
-    resumed = start(boxes, tmp_path, recipe, resume=part.path)
-    assert curve(resumed) == curve(full) != curve(whole)
-    one, two = (read_checkpoint(run.path / LATEST) for run in (full, resumed))
-    assert digest(one.state) == digest(two.state)
+    full = resumed_exactly(Training(recipe, "box", boxes, tmp_path), stop)
+    assert curve(full) != curve(whole)
 
 
 def test_the_seed_decides(boxes, tmp_path):
@@ -270,9 +249,14 @@ def test_an_epoch_visits_each_instance_once():
     assert rows[:10] != rows[10:20]
 
 
-def test_each_loss_can_be_switched_off(boxes):
+def batch_of(boxes, kind=torch.float32):
     data = load_split(boxes, "train", SPEC, [8])
     batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
+    return replace(batch, cloud=batch.cloud.to(kind), points=batch.points.to(kind))
+
+
+def test_each_loss_can_be_switched_off(boxes):
+    batch = batch_of(boxes)
     names = {
         "rec_common": "rec_common", "vol": "vol", "vq": "vq", "dev": "dev", "loc": "loc",
         "var_state": "var_state", "var_pivot": "var_pivot", "adv_g": "adv_g",
@@ -294,10 +278,8 @@ def test_the_unmoved_volume_s_shortcut_is_exact(boxes, form, of):
     model = PPD(ModelSettings()).double()
     with torch.no_grad():
         model.shape.head_2.bias[8:] -= 0.05  # so that only some points are inside
-    data = load_split(boxes, "train", SPEC, [8])
-    batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
-    points = batch.points.double()
-    batch = replace(batch, cloud=batch.cloud.double(), points=points)
+    batch = batch_of(boxes, torch.float64)
+    points = batch.points
     predicted = model(batch.cloud)
     fields = model.fields(predicted.shape, model.motion(predicted.pose), points)
     short = objective.FORMS[form](model, predicted, fields, batch, 0.01)["vol"]()
@@ -307,34 +289,20 @@ def test_the_unmoved_volume_s_shortcut_is_exact(boxes, form, of):
     moved = getattr(model.fields(predicted.shape, motion, spread), of)
     plain = losses.volume(moved, still)
     assert float(still.detach().max()) > 0
-    torch.testing.assert_close(short, plain)
-    left, right = (
-        torch.autograd.grad(v, model.shape.parameters(), retain_graph=True, allow_unused=True)
-        for v in (short, plain)
-    )
-    for a, b in zip(left, right, strict=True):
-        torch.testing.assert_close(a, b)
+    assert_alike(short, plain, model.shape.parameters())
 
 
 def test_the_adversary_s_shortcut_is_exact(boxes):
     torch.manual_seed(0)
     model, discriminator = PPD(ModelSettings()).double(), Discriminator().double().eval()
-    data = load_split(boxes, "train", SPEC, [8])
-    batch = data.batch([0, 1, 2], SPEC, 8, torch.Generator().manual_seed(0))
-    batch = replace(batch, cloud=batch.cloud.double(), points=batch.points.double())
+    batch = batch_of(boxes, torch.float64)
     predicted = model(batch.cloud)
     rng = torch.Generator().manual_seed(0)
     posed = objective.random_pose(model, predicted, batch, LossSettings(), rng)
     short = objective._adversarial(model, discriminator, predicted, batch, posed)
     whole = objective._composed(model, predicted, posed.state, batch.points)
     plain = -discriminator(torch.cat([batch.points, whole[..., None]], 2)).mean()
-    torch.testing.assert_close(short, plain)
-    left, right = (
-        torch.autograd.grad(v, model.parameters(), retain_graph=True, allow_unused=True)
-        for v in (short, plain)
-    )
-    for a, b in zip(left, right, strict=True):
-        torch.testing.assert_close(a, b)
+    assert_alike(short, plain, model.parameters())
 
 
 @pytest.mark.parametrize("name", ["ppd_paper", "ppd_release"])

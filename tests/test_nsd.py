@@ -6,10 +6,10 @@ import torch
 from digests import resumed_exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learners import batch_of, parameters
 from ppd_data import write_boxes
 
 from articugen.learning.commands import evaluate
-from articugen.learning.data.batch import Batch
 from articugen.learning.loop import Training
 from articugen.learning.method import load_recipe
 from articugen.learning.nsd.learner import NSDLearner, nearest, sphere, surface_loss, visible
@@ -32,8 +32,8 @@ def learner_of(model=SMALL, iterations=1, seed=0, device=CPU) -> NSDLearner:
 
 def test_parameters_are_those_that_were_published():
     net = learner_of({}, device=torch.device("meta")).network
-    assert sum(p.numel() for p in net.parameters()) == 665_720  # 6.657 x 10^5 in Table 4
-    assert sum(p.numel() for p in net.encoder.parameters()) == 165_632
+    assert parameters(net) == 665_720  # 6.657 x 10^5 in Table 4
+    assert parameters(net.encoder) == 165_632
     paper = load_recipe("nsd_paper")
     assert isinstance(paper, NSDRecipe)
     assert (paper.model, paper.losses) == (ModelSettings(), LossSettings())
@@ -107,9 +107,8 @@ def test_each_loss_is_what_its_formula_says(seed):
     cloud, points = torch.rand(2, 7, 3).double() - 0.5, 0.4 * (torch.rand(2, 6, 3).double() - 0.5)
     occupied, chance = torch.rand(2, 6) < 0.5, torch.rand(2, 8).double()
     learner.network.encode = lambda cloud: codes
-    none = torch.zeros(2, 0)
     with torch.no_grad():
-        terms = learner.loss(Batch(torch.arange(2), cloud, none, points, occupied, 6, chance))
+        terms = learner.loss(batch_of(cloud, points, occupied, chance=chance))
     entropy, shared, there, back = [], [], [], []
     for b, code in enumerate(codes):
         literal = Literal(learner.network, code)

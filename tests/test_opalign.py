@@ -10,6 +10,8 @@ from ppd_data import write_boxes
 
 torch = pytest.importorskip("torch", reason="learners need torch")
 
+from learners import parameters
+
 import articugen
 from articugen.core.errors import InvalidRecipe, UnfitData
 from articugen.core.geometry import rotation_about
@@ -43,10 +45,6 @@ def plan(iterations=1, model=None) -> OPAlignRecipe:
             "stages": [{"resolution": 16, "iterations": iterations}],
         },
     })  # fmt: skip
-
-
-def parameters(module) -> int:
-    return sum(p.numel() for p in module.parameters())
 
 
 def test_parameters_and_rates_are_those_that_were_published():

@@ -8,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learners import assert_alike, parameters
 
 from articugen.core.geometry import rotation_about
 from articugen.learning.blocks import GridEncoder, PointNet, _merged, filled
@@ -21,10 +22,6 @@ from articugen.learning.ppd.settings import ModelSettings
 from articugen.learning.ppd.shape import PLAIN_SIZE, Quantizer
 
 PAPER = ModelSettings()
-
-
-def parameters(module) -> int:
-    return sum(p.numel() for p in module.parameters())
 
 
 @pytest.fixture
@@ -83,11 +80,8 @@ def test_the_encoder_s_shortcut_changes_neither_value_nor_gradient(count):
     weight = torch.randn(3, 512, dtype=torch.float64)
     short, plain = encoder(points), plain_encoder(encoder, points)
     torch.testing.assert_close(short, plain)
-    left = torch.autograd.grad((short * weight).sum(), encoder.parameters())
-    right = torch.autograd.grad((plain * weight).sum(), encoder.parameters())
-    for a, b in zip(left, right, strict=True):
-        assert b.abs().max() > 0
-        torch.testing.assert_close(a, b)
+    both = ((latent * weight).sum() for latent in (short, plain))
+    assert all(g.abs().max() > 0 for g in assert_alike(*both, encoder.parameters()))
 
 
 @settings(deadline=None, max_examples=40)
@@ -395,11 +389,7 @@ def test_the_discriminator_s_shortcut_is_exact_even_for_the_gradient_penalty():
         penalty(discriminator(clouds)),
         penalty(plain_scores(discriminator.weights(), clouds)),
     )
-    torch.testing.assert_close(short, plain)
-    left = torch.autograd.grad(short, discriminator.parameters(), allow_unused=True)
-    right = torch.autograd.grad(plain, discriminator.parameters(), allow_unused=True)
-    for a, b in zip(left, right, strict=True):
-        torch.testing.assert_close(a, b)
+    assert_alike(short, plain, discriminator.parameters())
 
 
 def test_discriminator_weights_come_to_have_unit_norm():

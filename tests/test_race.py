@@ -3,34 +3,24 @@
 import json
 
 import pytest
-import torch
+from digests import same_state
+from learners import tiny
 from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
 from articugen.learning import commands
 from articugen.learning import race as race_module
 from articugen.learning.loop import Training, train
-from articugen.learning.ppd.settings import LossSettings, PPDRecipe, PPDSchedule, PPDStage
 from articugen.learning.race import RACE, best_half, race
 from articugen.learning.recipe import DataSettings, Seeds
 from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
 
 BOXES = {"train": 3, "test": 1, "states": 2}
 
-TINY = PPDRecipe(
-    name="tiny",
-    data=DataSettings(surface_points=100, grid_points=100, validation_objects=1),
-    losses=LossSettings(adv_g=0.0),
-    schedule=PPDSchedule(
-        batch=3,
-        learning_rate=1e-3,
-        stages=(PPDStage(resolution=8, iterations=6),),
-        log_every=1,
-        validate_every=2,
-        save_every=100,
-    ),
-    seeds=Seeds(count=3, halve_at=(2, 4)),
-)
+TINY = tiny(
+    {"surface_points": 100, "grid_points": 100}, (8, 6), batch=3, learning_rate=1e-3,
+    validate_every=2, losses={"adv_g": 0.0}, seeds={"count": 3, "halve_at": [2, 4]},
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +31,6 @@ def whole(boxes, tmp_path_factory):
 
 def told(run) -> dict:
     return json.loads((run.path / RACE).read_text())
-
-
-def same_weights(left, right) -> bool:
-    one, two = read_checkpoint(left).state["model"], read_checkpoint(right).state["model"]
-    return all(torch.equal(value, two[name]) for name, value in one.items())
 
 
 def test_the_worse_half_drops_out_and_the_best_is_kept(whole):
@@ -68,14 +53,14 @@ def test_the_worse_half_drops_out_and_the_best_is_kept(whole):
 def test_the_winner_is_what_its_seed_alone_would_be(boxes, whole, tmp_path):
     winner = told(whole)["winner"]
     alone = train(Training(TINY, "box", boxes, tmp_path, seed=winner))
-    assert same_weights(alone.path / LATEST, whole.path / LATEST)
+    assert same_state(alone, whole)
 
 
 def test_processes_change_nothing(boxes, whole, tmp_path):
     seen = []
     run = race(Training(TINY, "box", boxes, tmp_path, seed=1), jobs=2, on_progress=seen.append)
     assert told(run) == told(whole)
-    assert same_weights(run.path / LATEST, whole.path / LATEST)
+    assert same_state(run, whole)
     assert {p.who for p in seen} == {"seed 1", "seed 2", "seed 3"}
 
 
@@ -93,7 +78,7 @@ def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
         on_progress=lambda p: seen.append((p.who, p.iteration)),
     )
     assert told(run) == told(whole)
-    assert same_weights(run.path / LATEST, whole.path / LATEST)
+    assert same_state(run, whole)
     assert ("seed 1", 1) not in seen  # the first seed's first heat was done
     other = TINY.with_seeds(2)
     with pytest.raises(InvalidCheckpoint, match="another recipe"):

@@ -12,7 +12,8 @@ import pytest
 import safetensors.torch as safetensors
 import torch
 import yaml
-from digests import digest
+from digests import same_state
+from learners import tiny
 from test_report import result
 from trouble import unfit
 
@@ -22,23 +23,13 @@ from articugen.evaluation.results import read_evaluation
 from articugen.learning import tensors
 from articugen.learning.commands import newest
 from articugen.learning.loop import Training, train
-from articugen.learning.ppd.settings import PPDRecipe, PPDSchedule, PPDStage
-from articugen.learning.recipe import DataSettings
 from articugen.learning.run_folder import FORMAT, LATEST, METRICS, RunFolder, read_checkpoint
 from articugen.learning.tensors import image_of, read_tensors, sealed
 
 BOXES = {"train": 2, "test": 1, "states": 1}
 
-TINY = PPDRecipe(
-    name="tiny",
-    data=DataSettings(surface_points=100, grid_points=50, validation_objects=1),
-    schedule=PPDSchedule(
-        batch=2,
-        stages=(PPDStage(resolution=8, iterations=3),),
-        log_every=1,
-        validate_every=1,
-        save_every=1,
-    ),
+TINY = tiny(
+    {"surface_points": 100, "grid_points": 50}, (8, 3), batch=2, validate_every=1, save_every=1
 )
 
 
@@ -321,8 +312,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_goes_on(boxes, tmp_pa
         shutil.copy(whole.path / name, killed)
     (killed / METRICS).write_text('{"iteration": 1, "terms": {"rec": 0.5}}\n{"itera')
     done = train(Training(TINY, "box", boxes, tmp_path, resume=killed))
-    left, right = (read_checkpoint(run.path / LATEST) for run in (whole, done))
-    assert digest(left.state) == digest(right.state)
+    assert same_state(whole, done)
     assert [r["iteration"] for r in done.metrics()] == [r["iteration"] for r in whole.metrics()]
 
 
