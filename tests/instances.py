@@ -24,6 +24,7 @@ from articugen.core.recipe import Articulation, Recipe, Sampling
 from articugen.core.records import Floats, Normalization, quantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
+from articugen.evaluation.reconstruction import Reconstruction, truth
 
 LOWER = np.array([[0.0, -0.3, 0.0], [0.0, -0.3, 0.085], [0.1, -0.06, 0.145]])
 UPPER = np.array([[0.6, 0.3, 0.08], [0.6, 0.3, 0.145], [0.2, 0.06, 0.2]])
@@ -234,3 +235,10 @@ def edited(
 def put(index: Any, value: Any) -> Callable[[NDArray[Any]], None]:
     """What `edited` does to set some of a field's numbers."""
     return lambda array: array.__setitem__(index, value)
+
+
+def nothing(instance: Instance) -> Reconstruction:
+    """Return the true joints and motions without a surface anywhere."""
+    found, empty = truth(instance, min(instance.occupancy)), np.zeros((0, 3, 3))
+    nowhere = np.zeros_like(found.occupied)
+    return replace(found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere)

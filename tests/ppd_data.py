@@ -45,6 +45,15 @@ def rewrite(
     return rows
 
 
+def one_box(
+    folder: Path, edit: Callable[[list[Instance]], Sequence[Instance]], **attributes: Any
+) -> list[Instance]:
+    """Write a data set of one training object in two poses, whose shard is of what `edit` makes of
+    them; return those it was of."""
+    write_boxes(folder, train=1, test=0, states=1)
+    return rewrite(folder / "train-00000.h5", edit, **attributes)
+
+
 def write_boxes(
     folder: Path,
     *,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from instances import SMALL, edited, hinged_box
-from ppd_data import rewrite, write_boxes
+from ppd_data import one_box, rewrite, write_boxes
 
 from articugen.core.errors import UnfitData
 from articugen.core.records import is_material
@@ -21,19 +21,16 @@ from articugen.learning.data.fitness import apart, check_fixed_part, lying_other
 from articugen.learning.data.split import load_split
 from articugen.store.shards import Shard, open_shard
 
+BOXES = {"train": 2, "test": 0}
+
 ASK = BatchSpec(
     surface_points=100, grid_points=40, near_points=30, band_points=60, varying_points=50
 )
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=0)
-
-
-@pytest.fixture(scope="module")
-def packed(folder):
-    return load_split(folder, "train", ASK, [8])
+def packed(boxes):
+    return load_split(boxes, "train", ASK, [8])
 
 
 def rng(seed=0):
@@ -123,10 +120,10 @@ def test_half_of_what_is_drawn_is_occupied_however_few_those_are():
     assert 15 < int(each.min()) <= int(each.max()) < 90  # 25 each
 
 
-def test_voxels_are_numbered_as_grids_are_stored(folder, packed):
+def test_voxels_are_numbered_as_grids_are_stored(boxes, packed):
     """Every cell that is packed: its label is that of the stored grid, and it is of its kind."""
     for row in range(len(packed)):
-        inside = grids_of(folder, row // 4) > 0
+        inside = grids_of(boxes, row // 4) > 0
         masks = {
             "band": naive_band(inside[row % 4]) if row in (0, 5) else None,
             "varying": inside.any(0) & ~inside.all(0),
@@ -144,7 +141,7 @@ def test_voxels_are_numbered_as_grids_are_stored(folder, packed):
                     assert len(held) == min(every, cells.KEPT)
 
 
-def test_a_batch_has_them_last_and_spread_evenly_are_the_first_alone(folder, packed):
+def test_a_batch_has_them_last_and_spread_evenly_are_the_first_alone(boxes, packed):
     batch = packed.batch([6, 0, 6], ASK, 8, rng())
     assert batch.points.shape == (3, 180, 3)
     assert batch.spread == 40
@@ -154,7 +151,7 @@ def test_a_batch_has_them_last_and_spread_evenly_are_the_first_alone(folder, pac
         batch.points[:, 70:], (cell[:, 70:] + 0.5) / 32 - 0.5, atol=1e-6
     )  # voxels' centres
     for b, row in enumerate((6, 0, 6)):
-        inside = grids_of(folder, row // 4) > 0
+        inside = grids_of(boxes, row // 4) > 0
         x, y, z = cell[b, 70:].T.numpy()
         np.testing.assert_array_equal(inside[row % 4, x, y, z], batch.occupied[b, 70:].numpy())
         assert (inside.any(0) & ~inside.all(0))[x[60:], y[60:], z[60:]].all()
@@ -165,9 +162,9 @@ def test_a_batch_has_them_last_and_spread_evenly_are_the_first_alone(folder, pac
     assert torch.equal(again.points, batch.points)
 
 
-def test_what_is_packed_takes_sixteen_kilobytes_an_instance_and_kind(folder, packed):
+def test_what_is_packed_takes_sixteen_kilobytes_an_instance_and_kind(boxes, packed):
     none = dataclasses.replace(ASK, band_points=0, varying_points=0)
-    less = load_split(folder, "train", none, [8])
+    less = load_split(boxes, "train", none, [8])
     assert less.band.index.shape == (8, 2, 0)
     assert packed.bytes - less.bytes == 8 * 2 * (2 * 2048 * 4)
     some = packed.of(["box-1"])
@@ -175,19 +172,12 @@ def test_what_is_packed_takes_sixteen_kilobytes_an_instance_and_kind(folder, pac
     assert torch.equal(some.band.count, packed.band.count[4:])
 
 
-def test_the_finest_grid_up_to_the_limit_is_taken(folder, monkeypatch):
+def test_the_finest_grid_up_to_the_limit_is_taken(boxes, monkeypatch):
     monkeypatch.setattr(cells, "FINEST", 20)
-    assert load_split(folder, "train", ASK, [8]).varying.resolution == 16
+    assert load_split(boxes, "train", ASK, [8]).varying.resolution == 16
     monkeypatch.setattr(cells, "FINEST", 4)
     with pytest.raises(UnfitData, match=r"train-00000\.h5: has no grid of 4 or less"):
-        load_split(folder, "train", ASK, [8])
-
-
-def write_again(folder, edit, states=1):
-    """A data set of one training object; `edit` changes its instances."""
-    write_boxes(folder, train=1, test=0, states=states)
-    rewrite(folder / "train-00000.h5", edit)
-    return folder
+        load_split(boxes, "train", ASK, [8])
 
 
 def test_enclosed_space_varies_only_where_it_counts_as_occupied(tmp_path):
@@ -196,7 +186,7 @@ def test_enclosed_space_varies_only_where_it_counts_as_occupied(tmp_path):
         grid[0, 0, 0] = 255
         return [rows[0], dataclasses.replace(rows[1], occupancy={**rows[1].occupancy, 32: grid})]
 
-    write_again(tmp_path, edit)
+    one_box(tmp_path, edit)
     for occupancy, differs in (("visible", True), ("material", False)):
         ask = dataclasses.replace(ASK, occupancy=occupancy)
         some = load_split(tmp_path, "train", ask, [8]).varying
@@ -241,7 +231,7 @@ CASES = [
 
 @pytest.mark.parametrize(("edit", "said"), CASES)
 def test_poses_that_cannot_be_compared_are_refused_in_one_sentence(tmp_path, edit, said):
-    write_again(tmp_path, edit)
+    one_box(tmp_path, edit)
     with pytest.raises(UnfitData, match=f"train-00000.h5: {said}") as told:
         load_split(tmp_path, "train", ASK, [8])
     assert "; " in str(told.value)  # what to do about it
@@ -256,7 +246,7 @@ def test_coarse_grids_that_hold_nothing_tell_nothing_of_frames(tmp_path, emptied
             for i, row in enumerate(rows)
         ]
 
-    write_again(tmp_path, edit)
+    one_box(tmp_path, edit)
     assert len(load_split(tmp_path, "train", ASK, [8])) == 2
 
 
@@ -284,8 +274,8 @@ def test_objects_whose_joints_lie_otherwise_than_most_are_told():
     assert apart({"a": still, "b": still, "c": (hinge, y), "d": (hinge, y)}) == []
 
 
-def test_what_lies_otherwise_is_a_hint_before_training(folder, tmp_path):
-    assert lying_otherwise(folder) == []
+def test_what_lies_otherwise_is_a_hint_before_training(boxes, tmp_path):
+    assert lying_otherwise(boxes) == []
 
     write_boxes(tmp_path, train=3, test=1, states=1)
     rewrite(
@@ -300,18 +290,18 @@ def test_what_lies_otherwise_is_a_hint_before_training(folder, tmp_path):
 
 
 def test_one_pose_is_enough_where_none_are_compared(tmp_path):
-    write_again(tmp_path, lambda rows: rows[:1])
+    one_box(tmp_path, lambda rows: rows[:1])
     band = dataclasses.replace(ASK, varying_points=0)
     assert len(load_split(tmp_path, "train", band, [8])) == 1
     with pytest.raises(UnfitData, match="holds one pose"):
         load_split(tmp_path, "train", dataclasses.replace(band, poses=True), [8])
 
 
-def test_a_joint_that_no_candidate_can_follow_is_refused(folder):
+def test_a_joint_that_no_candidate_can_follow_is_refused(boxes):
     for joints in ((0, 4), (3, 0)):
         said = f"model {joints[0]} and {joints[1]} such parts; take one with more"
         with pytest.raises(UnfitData, match=said):
-            load_split(folder, "train", dataclasses.replace(ASK, joints=joints), [8])
+            load_split(boxes, "train", dataclasses.replace(ASK, joints=joints), [8])
 
 
 def test_centres_are_exact_for_integers_of_32_bits():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from instances import changed
-from ppd_data import rewrite, write_boxes
+from ppd_data import one_box, rewrite, write_boxes
 
 from articugen.core import geometry, schema
 from articugen.core.errors import CorruptShard, UnfitData
@@ -23,13 +23,8 @@ SEEN = dataclasses.replace(ASK, partial=True)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"))
-
-
-@pytest.fixture(scope="module")
-def packed(folder):
-    return load_split(folder, "train", ASK, [8], category="box")
+def packed(boxes):
+    return load_split(boxes, "train", ASK, [8], category="box")
 
 
 def rng(seed=0):
@@ -52,14 +47,14 @@ def test_everything_of_the_split_is_there(packed):
     assert packed.bytes == 16 * (2048 * 6 + 512 + 1024 * 7 + 2048 * 7 + 2 * 8)
 
 
-def test_points_are_carried_to_the_canonical_pose_and_joints_are_those_of_the_shards(folder):
+def test_points_are_carried_to_the_canonical_pose_and_joints_are_those_of_the_shards(boxes):
     """What a supervised learner asks for, against the rows of the shards."""
     spec = BatchSpec(surface_points=2048, parts=True, motions=True)
-    packed = load_split(folder, "train", spec, [], category="box")
+    packed = load_split(boxes, "train", spec, [], category="box")
     batch = packed.batch([5, 0], spec, 8, rng())
     assert batch.rest is not None
     assert set(batch.joints) == {"kind", "state", "axis", "pivot"}
-    with open_shard(sorted(folder.glob("train-*.h5"))[1]) as shard:
+    with open_shard(sorted(boxes.glob("train-*.h5"))[1]) as shard:
         instance = shard.instance(1)
     points, part = dequantize(instance.surface_points), instance.surface_part
     back = geometry.invert_rigid(instance.part_motion)[part]
@@ -86,13 +81,13 @@ def test_fixed_point_is_unpacked_exactly():
     np.testing.assert_allclose(have.numpy(), wanted, atol=6e-8)
 
 
-def test_a_batch_holds_points_of_the_instances_it_was_asked_for(folder, packed):
+def test_a_batch_holds_points_of_the_instances_it_was_asked_for(boxes, packed):
     batch = packed.batch([5, 2, 5], ASK, 8, rng())
     assert batch.cloud.shape == (3, 300, 3)
     assert batch.points.shape == (3, 350, 3)
     assert batch.spread == 300
     for b, row in enumerate((5, 2, 5)):
-        with open_shard(folder / f"train-{row // 4:05d}.h5") as shard:
+        with open_shard(boxes / f"train-{row // 4:05d}.h5") as shard:
             instance = shard.instance(row % 4)
         cloud = batch.cloud[b].numpy()
         assert rows_of(cloud) <= rows_of(dequantize(instance.surface_points))
@@ -156,8 +151,8 @@ def test_some_objects_alone(packed):
     assert backwards.poses_of("box-2").tolist() == [11, 10, 9, 8]
 
 
-def test_what_is_not_asked_for_is_not_kept(folder):
-    packed = load_split(folder, "test", BatchSpec(surface_points=10, grid_points=10), [16])
+def test_what_is_not_asked_for_is_not_kept(boxes):
+    packed = load_split(boxes, "test", BatchSpec(surface_points=10, grid_points=10), [16])
     assert packed.near[0].shape == (8, 0, 3)
     assert packed.uniform[1].shape == (8, 0)
     assert list(packed.grids) == [16]
@@ -176,23 +171,16 @@ def test_what_is_not_asked_for_is_not_kept(folder):
         ({"ask": BatchSpec(surface_points=5000)}, "has 2048 surface_points an instance"),
     ],
 )
-def test_unfit_data_are_refused_in_one_sentence(folder, change, said):
+def test_unfit_data_are_refused_in_one_sentence(boxes, change, said):
     wanted = {"split": "train", "ask": ASK, "resolutions": [8], "category": "box"} | change
     split, ask, resolutions = wanted.pop("split"), wanted.pop("ask"), wanted.pop("resolutions")
     with pytest.raises(UnfitData, match=said.replace("(", r"\(")):
-        load_split(folder, split, ask, resolutions, **wanted)
+        load_split(boxes, split, ask, resolutions, **wanted)
 
 
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(CorruptShard, match="cannot be read"):
         load_split(tmp_path, "train", ASK, [8])
-
-
-def rewritten(folder, change, **about):
-    """A data set of one training object, whose shard is written again from changed instances."""
-    write_boxes(folder, train=1, test=0, states=1)
-    rewrite(folder / "train-00000.h5", lambda rows: [changed(r, **change) for r in rows], **about)
-    return folder
 
 
 def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
@@ -220,7 +208,8 @@ def test_shards_that_cannot_be_learnt_from_are_refused(tmp_path):
             "is of split 'test', the manifest says 'train'",
         ),
     ):
-        folder = rewritten(tmp_path / name, change, **about)
+        folder = tmp_path / name
+        one_box(folder, lambda rows, change=change: [changed(r, **change) for r in rows], **about)
         with pytest.raises(error, match=f"train-00000.h5: {said}"):
             load_split(folder, "train", SEEN, [8])
 
@@ -250,17 +239,17 @@ def with_enclosed(label):
     return label
 
 
-def test_several_data_sets_are_as_one(folder, packed, tmp_path):
+def test_several_data_sets_are_as_one(boxes, packed, tmp_path):
     other = write_boxes(tmp_path / "other", train=2, test=1, states=2, first=10)
     alone = load_split(other, "train", ASK, [8])
-    both = load_split((folder, other), "train", ASK, [8], category="box")
+    both = load_split((boxes, other), "train", ASK, [8], category="box")
     assert both.object_id.tolist() == [*packed.object_id, *alone.object_id]
     assert torch.equal(both.surface, torch.cat([packed.surface, alone.surface]))
     assert torch.equal(both.grids[8], torch.cat([packed.grids[8], alone.grids[8]]))
     assert both.bytes == packed.bytes + alone.bytes
 
 
-def test_data_sets_that_do_not_go_together_are_refused(folder, tmp_path):
+def test_data_sets_that_do_not_go_together_are_refused(boxes, tmp_path):
     jars = write_boxes(tmp_path / "jars", train=1, test=0, states=1, category="jar", first=10)
     tested = write_boxes(tmp_path / "tested", train=1, test=0, states=1, first=5)
     for other, said in (
@@ -268,12 +257,11 @@ def test_data_sets_that_do_not_go_together_are_refused(folder, tmp_path):
         (tested, "tested: has an object box-5, as .* has; leave it out of one"),
     ):
         with pytest.raises(UnfitData, match=said):
-            load_split((folder, other), "train", ASK, [8])
+            load_split((boxes, other), "train", ASK, [8])
 
 
 def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
     """No label reaches a batch as a part's number: 255 names none."""
-    write_boxes(tmp_path, train=1, test=0, states=1)
 
     def enclosing(row):
         return changed(
@@ -283,7 +271,7 @@ def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
             occupancy={r: with_enclosed(grid) for r, grid in row.occupancy.items()},
         )
 
-    rows = rewrite(tmp_path / "train-00000.h5", lambda rows: list(map(enclosing, rows)))
+    rows = one_box(tmp_path, lambda rows: list(map(enclosing, rows)))
     enclosed = list(map(enclosing, rows))
     assert (enclosed[1].occupancy[8] == 255).any()
     for occupancy in ("visible", "material"):
@@ -301,10 +289,9 @@ def test_enclosed_space_is_occupied_or_free_as_the_recipe_says(tmp_path):
 
 def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
     """A plate between the centres of a coarse grid: each voxel that its surface passes through."""
-    write_boxes(tmp_path, train=1, test=0, states=1)
     empty = {8: np.zeros((8, 8, 8), np.uint8)}
-    rows = rewrite(
-        tmp_path / "train-00000.h5",
+    rows = one_box(
+        tmp_path,
         lambda rows: [rows[0], changed(rows[1], occupancy={**rows[1].occupancy, **empty})],
     )
     packed = load_split(tmp_path, "train", ASK, [8, 16])
@@ -320,17 +307,17 @@ def test_a_grid_that_holds_no_voxel_is_learnt_by_its_surface(tmp_path):
     assert packed.batch([1], whole, 8, rng()).occupied[0, :512].sum() == filled.sum()
 
 
-def test_partial_clouds_come_as_stored(folder):
-    packed = load_split(folder, "test", SEEN, [8])
-    with open_shard(folder / "test-00004.h5") as shard:
+def test_partial_clouds_come_as_stored(boxes):
+    packed = load_split(boxes, "test", SEEN, [8])
+    with open_shard(boxes / "test-00004.h5") as shard:
         seen = shard.instance(1).partial_points
     np.testing.assert_array_equal(packed.partial[1].numpy().view(np.uint16), seen)
     assert packed.of(["box-5"]).partial.shape == (4, 2, 256, 3)
-    assert load_split(folder, "test", ASK, [8]).partial.shape[1] == 0
+    assert load_split(boxes, "test", ASK, [8]).partial.shape[1] == 0
 
 
-def test_a_batch_of_partial_clouds_holds_what_one_camera_sees(folder):
-    packed = load_split(folder, "test", SEEN, [8])
+def test_a_batch_of_partial_clouds_holds_what_one_camera_sees(boxes):
+    packed = load_split(boxes, "test", SEEN, [8])
     batches = [packed.batch([1, 6], SEEN, 8, rng(seed)) for seed in range(8)]
     cameras = set()
     for batch in batches:
@@ -343,12 +330,12 @@ def test_a_batch_of_partial_clouds_holds_what_one_camera_sees(folder):
     assert cameras == {0, 1}
 
 
-def test_a_batch_tells_the_true_parts_of_its_cloud(folder):
+def test_a_batch_tells_the_true_parts_of_its_cloud(boxes):
     ask = BatchSpec(surface_points=200, parts=True)
-    packed = load_split(folder, "train", ask, [])
+    packed = load_split(boxes, "train", ask, [])
     batch = packed.batch([5], ask, 8, rng())
     assert batch.points.shape == (1, 0, 3)
-    with open_shard(folder / "train-00001.h5") as shard:
+    with open_shard(boxes / "train-00001.h5") as shard:
         instance = shard.instance(1)
     part = dict(
         zip(map(tuple, instance.surface_points.tolist()), instance.surface_part, strict=True)

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from instances import SMALL, hinged_box
+from instances import SMALL, hinged_box, nothing
 from ppd_data import write_boxes
 
 from articugen.core.errors import UnfitData
@@ -16,12 +16,9 @@ from articugen.evaluation.evaluate import Protocol, evaluate, label_votes, objec
 from articugen.evaluation.reconstruction import PartJoints, truth
 from articugen.evaluation.report import _details
 
+BOXES = {"train": 2, "test": 2, "states": 2}
+
 FEW = Protocol(points=100, surface_samples=200)
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=2, test=2, states=2)
 
 
 def exactly(instance):
@@ -76,11 +73,6 @@ def test_labels_are_told_by_a_finer_grid_as_well(boxes):
 
 
 def test_nothing_predicted_counts_as_failed(boxes):
-    def nothing(instance):
-        empty, found = np.zeros((0, 3, 3)), exactly(instance)
-        nowhere = np.zeros_like(found.occupied)
-        return replace(found, triangles=empty, part=np.zeros(0, int), whole=empty, occupied=nowhere)
-
     result = evaluate(boxes, nothing, FEW)
     means = result.means
     assert means["reconstruction_iou"] == 0.0

@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from instances import LOWER, UPPER, hinged_box
+from instances import LOWER, UPPER, hinged_box, nothing
 from PIL import Image
 from ppd_data import write_boxes
 from shapes import box
@@ -120,12 +120,6 @@ def test_methods_stand_beside_each_other_in_rows_of_three(tmp_path):
 
 
 def test_nothing_predicted_is_drawn_as_nothing():
-    def nothing(instance):
-        empty = np.zeros((0, 3, 3))
-        return dataclasses.replace(
-            truth(instance), triangles=empty, part=np.zeros(0, int), whole=empty
-        )
-
     none = Names([-1, -1, -1], [-1, -1, -1])
     _, predicted = tiles(drawn(hinged_box(), nothing, none, states=1))
     assert predicted.min() == 255

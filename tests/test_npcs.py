@@ -27,6 +27,8 @@ from articugen.learning.npcs.settings import Level, ModelSettings, NPCSRecipe
 
 torch.set_num_threads(1)
 
+BOXES = {"train": 3, "test": 1, "states": 3}
+
 CPU = torch.device("cpu")
 LEVELS = (
     {"centres": 16, "radius": 0.25, "neighbours": 8},
@@ -44,11 +46,6 @@ def plan(iterations=1, parts=3) -> NPCSRecipe:
     return NPCSRecipe.model_validate(
         {"name": "tiny", "model": model, "data": data, "schedule": schedule}
     )
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    return write_boxes(tmp_path_factory.mktemp("boxes"), train=3, test=1, states=3)
 
 
 def test_parameters_are_those_that_were_published():

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from instances import nothing
 
 from articugen.core.errors import UnfitData
 from articugen.evaluation.evaluate import Protocol
@@ -20,12 +21,6 @@ def ball_logits(R: int, centre: float = 0.0, steep: float = 10.0) -> np.ndarray:
     at = (np.arange(R) + 0.5) / R - 0.5
     grid = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
     return steep * (0.25 - np.linalg.norm(grid - centre, axis=-1))
-
-
-def nothing(instance) -> Reconstruction:
-    empty = np.zeros((0, 3, 3))
-    found = truth(instance)
-    return dataclasses.replace(found, triangles=empty, part=np.zeros(0, np.int64), whole=empty)
 
 
 @pytest.mark.parametrize("R", [32, 64])
@@ -86,19 +81,10 @@ def test_a_true_part_that_no_part_is_labelled_as_is_left_out_of_epe(boxes):
 
 def test_every_part_gets_as_many_points_whatever_its_size(boxes):
     parts, whole = release_meshes(np.stack([ball_logits(24), ball_logits(24, 0.2, 20.0) - 2.0]))
-    found = dataclasses.replace(
-        nothing_at_all(2),
-        triangles=np.concatenate(parts),
-        part=np.repeat([0, 1], [len(p) for p in parts]),
-        whole=whole,
-    )
+    part = np.repeat([0, 1], [len(p) for p in parts])
+    found = Reconstruction(np.concatenate(parts), part, whole, np.zeros((0, 0, 0), bool), 2)
     points = as_points(found, 50, np.random.default_rng(0))
     assert np.bincount(points.part).tolist() == [50, 50]
-
-
-def nothing_at_all(parts: int) -> Reconstruction:
-    empty = np.zeros((0, 3, 3))
-    return Reconstruction(empty, np.zeros(0, np.int64), empty, np.zeros((64, 64, 64), bool), parts)
 
 
 def test_another_category_is_refused_before_anything_is_computed(boxes):
