@@ -136,8 +136,10 @@ def test_the_command_writes_how_right_each_object_is(laptops, tmp_path):
     done = run("discover", laptops, "--poses", 3, "--json", tmp_path / "joints.json")
     judged = [row["judged"] for row in json.loads((tmp_path / "joints.json").read_text())]
     apart = [o["apart"] for o in judged if o["apart"] is not None]
-    assert len(judged) == 4 and all(isinstance(o["pivot"], bool) for o in judged)
-    assert apart and f"E {sum(apart) / len(apart):.4f}" in " ".join(done.output.split())
+    assert len(judged) == 4
+    assert all(isinstance(o["pivot"], bool) for o in judged)
+    assert apart
+    assert f"E {sum(apart) / len(apart):.4f}" in " ".join(done.output.split())
 
 
 def test_the_command_wants_a_data_set_for_groups(tmp_path):
