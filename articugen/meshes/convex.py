@@ -47,7 +47,8 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     volume, size = solid.volume(), float(np.ptp(mesh.vertices, axis=0).max())
     rough = min(1e-3 * size, _ROUGH * 2.0 * volume / solid.surface_area())
     hulls = _joined(_cut(solid.simplify(rough), volume, rough), _JOINED * volume)
-    return tuple(mesh_of(_simple(hull)) for hull in hulls)
+    pieces = (_simple(hull) for hull in hulls)
+    return tuple(mesh_of(piece) for piece in pieces if not piece.is_empty())
 
 
 def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> tuple[float, list[float]]:
@@ -61,11 +62,17 @@ def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> tuple[float, list[float]]:
 
 
 def _simple(hull: Manifold) -> Manifold:
-    """Return a convex solid, or one within it that has few enough corners."""
-    tolerance = 1e-3 * hull.volume() ** (1 / 3)
-    while hull.num_vert() > _CORNERS:
-        hull = hull.simplify(tolerance).hull()
-        tolerance *= 1.5
+    """Return a convex solid, or one within it that has few enough corners: those farthest from each
+    other where the solid's box is a cube. Of a mere sliver nothing may be left."""
+    corners = mesh_of(hull).vertices
+    if len(corners) > _CORNERS:
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        spread = (corners - low) / np.maximum(high - low, 1e-300)
+        far, kept = np.full(len(corners), np.inf), [int(np.argmax(norm(spread - 0.5)))]
+        while len(kept) < _CORNERS:
+            far = np.minimum(far, norm(spread - spread[kept[-1]]))
+            kept.append(int(np.argmax(far)))
+        hull = Manifold.hull_points(corners[kept])
     return hull.simplify(1e-5 * hull.volume() ** (1 / 3))  # no faces without area
 
 
