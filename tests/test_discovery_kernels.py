@@ -33,6 +33,30 @@ def test_what_is_said_to_be_void_is_void(seed: int, reach: float) -> None:
     assert some > 0
 
 
+@given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.005, 0.2))
+@settings(max_examples=10, deadline=None)
+def test_nearest_is_the_nearest_whatever_is_guessed(seed: int, reach: float) -> None:
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform(-0.45, 0.45, (300, 3))
+    cloud[::2] = np.round(cloud[::2] * 32) / 32  # on the borders of cells
+    cloud = np.concatenate([cloud, cloud[:50]])  # some twice: the last one counts
+    cells = Cells.of([Surface.bare(cloud)], NEAR)
+    around = cells.points[:15] + reach * rng.standard_normal((15, 3)) / 2
+    for query in np.concatenate([cells.points[:15], around]):
+        squared = ((cells.points - query) ** 2) @ np.ones(3)
+        least = float(squared.min())
+        for guess in (-1, *rng.integers(0, len(cloud), 3).tolist(), int(squared.argmin())):
+            at, d = kernels.nearest(
+                cells.points, cells.normals, False, cells.starts, 0, *query, 0.0, 0.0, 0.0,
+                reach, 1.0, guess,
+            )  # fmt: skip
+            if least > reach**2:
+                assert at == -1
+            else:
+                assert d == pytest.approx(least, abs=1e-15)
+                assert at == np.flatnonzero((cells.points == cells.points[at]).all(1))[-1]
+
+
 def _rounds_by_hand(joint: Candidate, part: Surface, clouds: list[Floats]) -> Candidate:
     """One round of Gauss and Newton's method, with gradients by differences."""
     across = plane_across(joint.axis)

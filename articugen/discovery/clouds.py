@@ -76,7 +76,7 @@ class Cells:
 
     points: Floats
     normals: Floats
-    starts: NDArray[np.int64]
+    starts: NDArray[np.int32]
     near: float
     signed: bool
     _within: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
@@ -94,7 +94,11 @@ class Cells:
             before += len(surface)
         signed = all(surface.signed for surface in surfaces)
         return Cells(
-            np.concatenate(points), np.concatenate(normals), np.array(starts), near, signed
+            np.concatenate(points),
+            np.concatenate(normals),
+            np.array(starts, np.int32),
+            near,
+            signed,
         )
 
     def __len__(self) -> int:
@@ -162,9 +166,9 @@ class Change:
 
     Attributes:
         frame: leads from the clouds' own frame to the cube's.
-        clouds: of each pose, thinned, with the normals that were given.
+        others: the clouds of all poses but pose 0, thinned, with the normals that were given.
         near: two surfaces that are nearer than this may be the same.
-        start: pose 0, as it is in `clouds`; `first`: the same in cells, without normals.
+        start: pose 0, likewise; `first`: the same in cells, without normals.
         chosen: (S,) the poses that are searched.
         poses: those, in cells; `targets`: what of them is where nothing stays.
         gone: (S, n) what of pose 0 is not in them.
@@ -172,7 +176,7 @@ class Change:
     """
 
     frame: Normalization
-    clouds: tuple[Surface, ...]
+    others: Cells
     near: float
     start: Surface
     first: Cells
@@ -205,7 +209,8 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     some = points[0][:: max(len(points[0]) // 2000, 1)]
     gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
     near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
-    left = _left(points, near)
+    others = Cells.of(clouds[1:], near)
+    left = _left(points[0], others)
     if left.max() > 1.0 - _STAYS:
         raise InvalidArgument(
             f"pose {left.argmax() + 1} has next to nothing where pose 0 has matter: they share no "
@@ -214,7 +219,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         )
     chosen = _spread(left)
     start = _surface(clouds[0], near)
-    surfaces = [_surface(clouds[k], near) for k in chosen]
+    surfaces = [clouds[k] if normals is not None else _surface(clouds[k], near) for k in chosen]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
     often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
@@ -231,7 +236,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     else:
         telling = _rare(new, searched, near)
     targets = Cells.of(telling, near)
-    return Change(frame, clouds, near, start, first, chosen, searched, targets, gone, movers)
+    return Change(frame, others, near, start, first, chosen, searched, targets, gone, movers)
 
 
 def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> NDArray[Any]:
@@ -291,13 +296,11 @@ def _thinned(cloud: Surface, rng: np.random.Generator) -> Surface:
     return cloud[np.sort(rng.choice(len(cloud), MOST_POINTS, replace=False))]
 
 
-def _left(clouds: Sequence[Floats], near: float) -> Floats:
+def _left(cloud: Floats, others: Cells) -> Floats:
     """Return (K - 1,) the share of some points of pose 0 that have no matter of each other pose
     near them."""
-    some = Surface.bare(np.ascontiguousarray(clouds[0][:: max(len(clouds[0]) // 1000, 1)]))
-    return np.array(
-        [(~Cells.of([Surface.bare(c)]).met(some, still(1), near)).mean() for c in clouds[1:]]
-    )
+    some = Surface.bare(np.ascontiguousarray(cloud[:: max(len(cloud) // 1000, 1)]))
+    return (~others.met(some, still(len(others)), others.near)).mean(1)
 
 
 def _spread(left: Floats) -> NDArray[np.intp]:

@@ -134,7 +134,7 @@ def discover(
 @dataclass(frozen=True, eq=False)
 class _Grown:
     """A candidate with what it explains: of movers in the searched poses, the pairs where it is
-    `right` (S, m) and where it is `wrong` (S, m), and the movers that `follow` (m,) it."""
+    `right` (S, m), where one that may follow is `wrong` (S, m), and the movers that `follow` (m,)."""
 
     joint: Candidate
     right: NDArray[np.bool_]
@@ -263,14 +263,14 @@ class _Found:
 
     def _grow(self, seed: _Grown) -> _Grown:
         near, targets = self.change.near, self.change.targets
-        joint, follow = seed.joint, seed.follow
+        grown = seed
         for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
-            core = some(np.flatnonzero(follow & self.left), _CORE)
+            core = some(np.flatnonzero(grown.follow & self.left), _CORE)
             if len(core) < 12:
-                break
-            joint = fitted(joint, self.part[core], targets, reach, 3)
-            follow = self._explained(joint, reach).follow
-        return self._explained(joint, near)
+                return self._explained(grown.joint, near)
+            joint = fitted(grown.joint, self.part[core], targets, reach, 3)
+            grown = self._explained(joint, reach)
+        return grown
 
     def _polished(self, grown: _Grown) -> _Grown:
         """With the states voted again by all that follow, and all of it fitted to them; about the
@@ -311,10 +311,11 @@ class _Found:
         and is there in most others says neither."""
         M, part, gone = motions(joint), self.part[among], self.gone[:, among]
         right = self.change.targets.met(part, M, reach, gone)
-        wrong = gone & ~right  # what is new in a pose is of it
-        wrong &= ~self.change.poses.met(part, M, reach, wrong)
         left = np.maximum(gone.sum(0), 1)
-        follow = (wrong.sum(0) <= _WRONG * left) & (right.sum(0) >= _RIGHT * left)
+        follow = right.sum(0) >= _RIGHT * left
+        wrong = gone & ~right & follow  # what is new in a pose is of it
+        wrong &= ~self.change.poses.met(part, M, reach, wrong)
+        follow &= wrong.sum(0) <= _WRONG * left
         return _Grown(joint, right, wrong, follow)
 
     def settled(self) -> list[Candidate]:
@@ -390,9 +391,8 @@ def _told(
     surface = Surface.bare(cloud, outward).shaped(diff.first, diff.near)
     part = _labels(diff, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
-    others = Cells.of(diff.clouds[1:], diff.near)
     parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
-    complete = [_joint(diff, others, joint, of_part) for joint, of_part in parts]
+    complete = [_joint(diff, joint, of_part) for joint, of_part in parts]
     number = np.zeros(len(joints) + 1, np.int64)
     number[1 + order] = 1 + np.arange(len(joints))
     return Discovery(tuple(complete), points, number[part])
@@ -431,10 +431,10 @@ def _as_neighbours(
     return np.where(votes.sum(0) > 0, votes.argmax(0), label)
 
 
-def _joint(diff: Change, others: Cells, joint: Candidate, part: Surface) -> FoundJoint:
-    """Return the joint in the clouds' frame, with the states of all `others` than pose 0."""
+def _joint(diff: Change, joint: Candidate, part: Surface) -> FoundJoint:
+    """Return the joint in the clouds' frame, with the states of all poses."""
     core = part[some(np.arange(len(part)), 250)]
-    states = np.concatenate([[0.0], states_of(joint, core, others, diff.near)])
+    states = np.concatenate([[0.0], states_of(joint, core, diff.others, diff.near)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
     gone = ~diff.poses.met(core, still(len(diff.chosen)), diff.near)
     new = diff.targets.met(core, motions(joint), diff.near)

@@ -68,26 +68,27 @@ def _cross_into(out, a, b):
 
 
 @helper
-def _add(B, W, weight, rest, H, g, k):
+def _add(B, W, weight, rest, fixed, H, g, k):
     """Add a point's share of the equations: its gradients B (5, 3) and its distance `rest` (3,),
-    both in the frame of pose 0, by its stiffness W (3, 3)."""
-    for u in range(SHARED + 1):
+    both in the frame of pose 0, by its stiffness W (3, 3); not of the first `fixed` unknowns."""
+    for u in range(fixed, SHARED + 1):
         s0 = weight * (W[0, 0] * B[u, 0] + W[0, 1] * B[u, 1] + W[0, 2] * B[u, 2])
         s1 = weight * (W[1, 0] * B[u, 0] + W[1, 1] * B[u, 1] + W[1, 2] * B[u, 2])
         s2 = weight * (W[2, 0] * B[u, 0] + W[2, 1] * B[u, 1] + W[2, 2] * B[u, 2])
         row = u if u < SHARED else SHARED + k
         g[row] += s0 * rest[0] + s1 * rest[1] + s2 * rest[2]
-        for v in range(u + 1):
+        for v in range(fixed, u + 1):
             H[row, v if v < SHARED else SHARED] += s0 * B[v, 0] + s1 * B[v, 1] + s2 * B[v, 2]
 
 
 @helper
 def _equations(
-    queries, query_normals, stiffness, turns, a, c, across, states,
-    points, normals, signed, starts, within, reach, width, H, g,
+    queries, query_normals, stiffness, turns, a, c, across, states, fixed,
+    points, normals, signed, starts, within, reach, width, guess, H, g,
 ):  # fmt: skip
     """Gauss and Newton's system: each moved point against what is nearest to it in the pose. What
-    is farther than `reach` counts for nothing, what is near it for little (Tukey's weights)."""
+    is farther than `reach` counts for nothing, what is near it for little (Tukey's weights).
+    `guess` (K, n) is what was nearest the round before, or -1, and becomes what is."""
     M, B, V = np.zeros((3, 4)), np.zeros((SHARED + 1, 3)), np.zeros((2, 3))
     o, rest = np.zeros(3), np.zeros(3)
     H[:] = 0.0
@@ -109,7 +110,10 @@ def _equations(
             x, y, z, nx, ny, nz = moved(M, p, query_normals[i])
             if is_void(within, k, x, y, z):
                 continue
-            at, d = nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, width)
+            guess[k, i], d = nearest(
+                points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, width, guess[k, i]
+            )
+            at = guess[k, i]
             if at < 0:
                 continue
             dx, dy, dz = x - points[at, 0], y - points[at, 1], z - points[at, 2]
@@ -117,22 +121,18 @@ def _equations(
                 rest[r] = M[0, r] * dx + M[1, r] * dy + M[2, r] * dz
                 o[r] = p[r] - c[r]
             if turns:
-                _cross_into(B[0], V[0], o)
-                _cross_into(B[1], V[1], o)
+                if fixed == 0:
+                    _cross_into(B[0], V[0], o)
+                    _cross_into(B[1], V[1], o)
                 _cross_into(B[SHARED], a, o)
-            _add(B, stiffness[i], (1.0 - d / (reach * reach)) ** 2, rest, H, g, k)
+            _add(B, stiffness[i], (1.0 - d / (reach * reach)) ** 2, rest, fixed, H, g, k)
 
 
 @helper
 def _damp(H, g, fixed, damped):
-    """Hold the first `fixed` unknowns, and all others back a little."""
+    """Hold the first `fixed` unknowns, of which all is 0, and all others back a little."""
     most = 1e-9
-    for u in range(len(g)):
-        if u < fixed:
-            g[u] = 0.0
-            H[u, :] = 0.0
-            for v in range(u, len(g)):
-                H[v, u] = 0.0
+    for u in range(fixed, len(g)):
         most = max(most, H[u, min(u, SHARED)])
     for u in range(len(g)):
         H[u, min(u, SHARED)] += damped * (H[u, min(u, SHARED)] + LEVEL * most)
@@ -226,12 +226,12 @@ def fit(
     """
     K = len(states)
     H, g, step = np.zeros((SHARED + K, SHARED + 1)), np.zeros(SHARED + K), np.zeros(SHARED + K)
-    across = np.zeros((2, 3))
+    across, guess = np.zeros((2, 3)), np.full((K, len(queries)), -1)
     for _ in range(rounds):
         _across(axis, across)
         _equations(
-            queries, query_normals, stiffness, turns, axis, pivot, across, states,
-            points, normals, signed, starts, within, reach, width, H, g,
+            queries, query_normals, stiffness, turns, axis, pivot, across, states, fixed,
+            points, normals, signed, starts, within, reach, width, guess, H, g,
         )  # fmt: skip
         _damp(H, g, fixed, damped)
         _solve(H, g, step)

@@ -22,6 +22,8 @@ FLAT = 0.05
 
 FAR = 1e9  # the squared distance to where there is nothing
 
+HAIR = 1e-9  # more than what rounding moves a point across the border of a cell
+
 LIKE = 0.85  # cosine between the normals of two points that may be of one surface
 
 
@@ -87,17 +89,40 @@ def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
 
 
 @helper
-def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
+def _beyond(x, i):
+    """Return the square of how far x is from the cells i along an edge, by a hair too little."""
+    far = max(i * (1.0 / CELLS) - 0.5 - x, x + 0.5 - (i + 1) * (1.0 / CELLS), HAIR) - HAIR
+    return far * far
+
+
+@helper
+def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across, guess):
     """Return (index, squared distance) of the point of a pose that is nearest to (x, y, z) and may
-    be of the same surface, -1 if there is none within `reach`."""
+    be of the same surface, the last one where several are; -1 if there is none within `reach`.
+    `guess` is a point of the pose that may be near, or -1: the nearer, the fewer others are
+    examined."""
     best, at = reach * reach, -1
-    for i in _span(x, reach):
-        for j in _span(y, reach):
-            for m in _row(starts, pose, i, j, z, reach):
+    if guess >= 0:
+        g = np.uintp(guess)
+        dx, dy, dz = points[g, 0] - x, points[g, 1] - y, points[g, 2] - z
+        d = dx * dx + dy * dy + dz * dz
+        if d <= best and _is_alike(normals, signed, g, dx, dy, dz, nx, ny, nz, across):
+            best, at = d, guess
+    wide = np.sqrt(best) + HAIR
+    for i in _span(x, wide):
+        beyond = _beyond(x, i)
+        if beyond > best:
+            continue
+        for j in _span(y, wide):
+            if beyond + _beyond(y, j) > best:
+                continue
+            for m in _row(starts, pose, i, j, z, wide):
                 n = np.uintp(m)
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                 d = dx * dx + dy * dy + dz * dz
-                if d <= best and _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
+                if (d < best or (d == best and m > at)) and _is_alike(
+                    normals, signed, n, dx, dy, dz, nx, ny, nz, across
+                ):
                     best, at = d, m
     return at, best if at >= 0 else FAR
 
@@ -115,7 +140,9 @@ def distances(
             x, y, z, nx, ny, nz = moved(motions[k], queries[i], query_normals[i])
             if is_void(within, k, x, y, z):
                 continue
-            at, d = nearest(points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across)
+            at, d = nearest(
+                points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across, -1
+            )
             if at >= 0:
                 out[k, i] = np.sqrt(d)
     return out
@@ -326,25 +353,33 @@ def votes(turned, offsets, weights, grid):
             coordinate, so that several points are looked up at a time.
         offsets: (C, T, 3) float32, what each candidate adds to them.
         weights: (m,) uint64: byte k is 1 where the point counts in pose k.
-        grid: (VOTES^3,) uint64: byte k is 1 where pose k has something new. At most 255 points.
+        grid: (VOTES^3 + 1,) uint64: byte k is 1 where pose k has something new; at the end 0, for
+            what is outside. At most 255 points.
 
     Returns:
         (C, 8) the greatest number of points, and (C, 8) the step where it is reached first.
     """
     C, T = offsets.shape[0], offsets.shape[1]
     nought, edge, row = np.float32(0.0), np.float32(VOTES), np.int32(VOTES)
+    nowhere = np.int32(VOTES**3)
     most, step = np.zeros((C, 8), np.uint8), np.zeros((C, 8), np.int32)
+    at = np.zeros(turned.shape[2], np.int32)
     for t in range(T):
         X, Y, Z = turned[t, 0], turned[t, 1], turned[t, 2]
         for c in range(C):
             ox, oy, oz = offsets[c, t, 0], offsets[c, t, 1], offsets[c, t, 2]
-            total = np.uint64(0)
-            for m in range(len(X)):
+            for m in range(len(at)):
                 x, y, z = X[m] + ox, Y[m] + oy, Z[m] + oz
                 inside = (x >= nought) & (y >= nought) & (z >= nought)
-                if inside & (x < edge) & (y < edge) & (z < edge):
-                    at = (np.int32(x) * row + np.int32(y)) * row + np.int32(z)
-                    total += grid[np.uintp(at)] & weights[m]
+                inside &= (x < edge) & (y < edge) & (z < edge)
+                cell = (np.int32(x) * row + np.int32(y)) * row + np.int32(z)
+                at[m] = cell if inside else nowhere
+            total, m = np.uint64(0), 0
+            while m < len(at) and at[m] >= 0:  # always: else loads become a gather, half as fast
+                total += grid[np.uintp(at[m])] & weights[m]
+                m += 1
+            if total == 0:
+                continue
             for k in range(8):
                 count = np.uint8(total >> np.uint64(8 * k) & np.uint64(255))
                 if count > most[c, k]:
@@ -361,14 +396,15 @@ def agreement(
     K, T = motions.shape[:2]
     out = np.zeros((K, T))
     for k in range(K):
+        guess = np.full(len(queries), -1)
         for t in range(T):
             for i in range(len(queries)):
                 x, y, z, nx, ny, nz = moved(motions[k, t], queries[i], query_normals[i])
                 if is_void(within, k, x, y, z):
                     continue
-                at, d = nearest(
-                    points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across
+                guess[i], d = nearest(
+                    points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across, guess[i]
                 )
-                if at >= 0:
+                if guess[i] >= 0:
                     out[k, t] += 1.0 - d / (reach * reach)
     return out

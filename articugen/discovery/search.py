@@ -68,8 +68,8 @@ def plane_across(axis: Floats) -> Floats:
 
 
 def ballot(change: Change) -> NDArray[np.uint64]:
-    """Return (VOTES^3,) bits of each cell: byte k is 1 where something new is near in searched pose
-    k."""
+    """Return (VOTES^3 + 1,) bits of each cell: byte k is 1 where something new is near in searched
+    pose k; at the end 0, for what is outside."""
     R = kernels.VOTES
     grid = np.zeros((R, R, R), np.uint64)
     wide = max(change.near, _VOTE_REACH)
@@ -85,7 +85,7 @@ def ballot(change: Change) -> NDArray[np.uint64]:
         mark = np.zeros((R, R, R), bool)
         mark[tuple(around.T)] = True
         grid |= mark.astype(np.uint64) << np.uint64(8 * k)
-    return grid.reshape(-1)
+    return np.append(grid, np.uint64(0))
 
 
 def weights(change: Change, which: NDArray[np.intp]) -> NDArray[np.uint64]:
@@ -102,7 +102,7 @@ class Search:
     def __init__(self, change: Change) -> None:
         self.change = change
         self.grid = ballot(change)
-        points = change.clouds[0].points[change.movers]
+        points = change.start.points[change.movers]
         self.low = np.min([points.min(0), change.targets.points.min(0)], axis=0)
         self.high = np.max([points.max(0), change.targets.points.max(0)], axis=0)
         self._turns: dict[tuple[float, ...], tuple[Floats, Floats, Floats, Any]] = {}
@@ -112,7 +112,7 @@ class Search:
     ) -> list[tuple[float, Candidate]]:
         """Return the best turns of some points (at most 255) about an axis of this direction."""
         angles, spins, pivots, rest = self._turns_about(tuple(axis.tolist()))
-        points = self.change.clouds[0].points[which] * kernels.VOTES
+        points = self.change.start.points[which] * kernels.VOTES
         turned = (spins @ points.T).astype(np.float32)
         w = weights(self.change, which)
         few, _ = kernels.votes(turned[:, :, ::_FEW].copy(), rest, w[::_FEW].copy(), self.grid)
@@ -150,7 +150,7 @@ class Search:
         self, which: NDArray[np.intp], ways: Floats, keep: int
     ) -> list[tuple[float, Candidate]]:
         """Return the best slides of some points (at most 255) along directions `ways` (n, 3)."""
-        P, R = self.change.clouds[0].points[which], kernels.VOTES
+        P, R = self.change.start.points[which], kernels.VOTES
         lengths = np.arange(-_LONGEST_SLIDE, _LONGEST_SLIDE, SLIDE_STEP)
         offsets = ways[:, None] * lengths[:, None] + 0.5
         turned = np.broadcast_to(P.T * R, (len(lengths), *P.T.shape))
