@@ -134,7 +134,7 @@ def discover(
 @dataclass(frozen=True, eq=False)
 class _Grown:
     """A candidate with what it explains: of movers in the searched poses, the pairs where it is
-    `right` (S, m), where one that may follow is `wrong` (S, m), and the movers that `follow` (m,)."""
+    `right` (S, m), where one that may follow is `wrong` (S, m), the movers that `follow` (m,)."""
 
     joint: Candidate
     right: NDArray[np.bool_]
