@@ -95,3 +95,13 @@ def test_a_disc_of_many_corners_keeps_its_volume_with_few(thick: float) -> None:
     (piece,) = convex_pieces(disc)
     assert len(piece.vertices) <= 64
     assert agreement(disc, [piece])[0] > 0.97  # of 32 corners above and below: 0.9936
+
+
+def test_a_mesh_that_is_not_watertight_is_its_hull_and_none_is_nothing() -> None:
+    whole = box((1.0, 2.0, 3.0))
+    open_one = Mesh(np.asarray(whole.vertices), np.asarray(whole.faces[1:], np.int32))
+    (piece,) = convex_pieces(open_one)
+    assert agreement(meshed(whole), [piece]) == (pytest.approx(1.0), [])
+    assert agreement(open_one, [piece])[0] == 0.0
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    assert convex_pieces(nothing) == ()

@@ -42,12 +42,15 @@ class _Piece(NamedTuple):
 
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Return convex meshes of at most 64 vertices that together fill about the space of a
-    watertight `mesh`, and of what it encloses."""
+    watertight `mesh`, and of what it encloses; of another mesh its hull, if it has one."""
     solid = manifold(mesh)
-    volume, size = solid.volume(), float(np.ptp(mesh.vertices, axis=0).max())
-    rough = min(1e-3 * size, _ROUGH * 2.0 * volume / solid.surface_area())
-    hulls = _joined(_cut(solid.simplify(rough), volume, rough), _JOINED * volume)
-    pieces = (_simple(hull) for hull in hulls)
+    if solid.is_empty():  # it is not watertight
+        hulls = [Manifold.hull_points(mesh.vertices)] if len(mesh.vertices) > 3 else []
+    else:
+        volume, size = solid.volume(), float(np.ptp(mesh.vertices, axis=0).max())
+        rough = min(1e-3 * size, _ROUGH * 2.0 * volume / solid.surface_area())
+        hulls = _joined(_cut(solid.simplify(rough), volume, rough), _JOINED * volume)
+    pieces = (_simple(hull) for hull in hulls if not hull.is_empty())
     return tuple(mesh_of(piece) for piece in pieces if not piece.is_empty())
 
 
@@ -57,7 +60,7 @@ def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> tuple[float, list[float]]:
     union = Manifold.batch_boolean([manifold(one) for one in pieces], manifold3d.OpType.Add)
     common = (union ^ solid).volume()
     shells = [shell.volume() for shell in solid.decompose()]
-    iou = common / (union.volume() + solid.volume() - common)
+    iou = common / max(union.volume() + solid.volume() - common, 1e-300)
     return iou, sorted(-volume for volume in shells if volume < 0.0)
 
 
