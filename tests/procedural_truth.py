@@ -72,8 +72,7 @@ def assert_sound(model: Model) -> None:
             assert is_closed(solid.faces), name
             assert len(solid.half_spaces) == len(solid.cells), name
             assert solid.volume > 0.0, name
-            # quads of a bent bar are plane but for rounding
-            assert abs(mesh_volume(solid) - solid.volume) < 3e-9 * solid.volume + 1e-15, name
+            assert abs(mesh_volume(solid) - solid.volume) < 1e-9 * solid.volume + 1e-15, name
 
 
 def crossings(

@@ -112,13 +112,8 @@ class Solid:
     @property
     def volume(self) -> float:
         """Cubic metres: the sum over the cells."""
-        triangles = [
-            (face[0], face[k], face[k + 1])
-            for cell in self.cells
-            for face in cell
-            for k in range(1, len(face) - 1)
-        ]
-        a, b, c = np.moveaxis(self.vertices[np.array(triangles)], 1, 0)
+        triangles = _triangles(self.vertices, [face for cell in self.cells for face in cell])
+        a, b, c = np.moveaxis(self.vertices[triangles], 1, 0)
         return float(np.sum(a * cross(b, c)) / 6.0)
 
     def moved(self, T: Floats) -> "Solid":
