@@ -19,6 +19,9 @@ from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, pr
 from articugen.inspection.report.site import site
 
 KEY = printable(f"train/{HOSTILE}")
+FOLLOWED = """() => { const { joints, camera } = articugen.opened()[0].view.get();
+  const says = (name, at) => `${name}=${at.map((x) => +x.toFixed(4))}`;
+  return location.hash.endsWith(`&${says("joints", joints)}&${says("camera", camera)}`); }"""
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +111,7 @@ def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: 
     tab.click("text=Play stored states")
     tab.focus("canvas")
     tab.keyboard.press("ArrowLeft")
-    tab.wait_for_timeout(700)  # the address follows once nothing moves
+    tab.wait_for_function(FOLLOWED, timeout=90_000)  # the address follows once nothing moves
     link, state = tab.url, tab.evaluate("articugen.opened()[0].view.get()")
     tab.select_option("nav.tools select", "test/b")
     tab.wait_for_selector(".viewer[data-ready] >> nth=1", timeout=90_000)
