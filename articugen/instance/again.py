@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from articugen.core import content
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource, RejectedInstance
 from articugen.core.files import check_place
 from articugen.core.geometry import apply
@@ -23,12 +22,6 @@ from articugen.store.manifest import Manifest
 
 OF = ("material", "visible", "part")
 """What a mesh may be of."""
-
-
-def generator_of(ref: ObjectRef, recipe: str) -> str:
-    """Return the versions of our code that decide the data of an object by a recipe of this text:
-    see `content`."""
-    return content.declared(ref.category if ref.is_made else None, recipe, ref.forms)
 
 
 def resolved(ref: ObjectRef, recipe: Recipe) -> ResolvedObject:
@@ -59,7 +52,7 @@ def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject,
             f"no object {object_id!r} in this data set; articugen inspect names some"
         )
     ref = open_source(manifest.source).find(manifest.category, object_id)
-    same_code = entry.key.model_copy(update={"generator": generator_of(ref, manifest.recipe)})
+    same_code = entry.key.model_copy(update={"generator": ref.generator_by(manifest.recipe)})
     changed = same_code.difference(entry.key)
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import trimesh
-
 from articugen.core.errors import ArticugenError
 from articugen.core.records import Mesh
 
@@ -18,6 +16,8 @@ def check_format(path: Path) -> None:
 
 def export(mesh: Mesh, path: Path) -> None:
     """Write a mesh in the format that the ending of `path` names; ArticugenError if it cannot."""
+    import trimesh  # noqa: PLC0415 - takes a second, which whoever makes no file would wait for
+
     check_format(path)
     try:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)

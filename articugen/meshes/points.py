@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
@@ -138,6 +137,8 @@ def _text(vector: Floats) -> str:
 
 def _ply(data: bytes) -> Any:
     """Vertices; where there are faces, points spread over them, and these."""
+    import trimesh  # noqa: PLC0415 - takes a second
+
     claimed = claimed_rows(data)
     cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     if len(getattr(cloud, "faces", ())):

@@ -17,7 +17,6 @@ from articugen.core import processes
 from articugen.core.errors import InvalidRecipe, MachineFault, NotOfCategory, printable
 from articugen.core.files import megabytes, room_at
 from articugen.core.recipe import Recipe
-from articugen.instance.again import generator_of
 from articugen.pipeline.common import Name
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import (
@@ -136,7 +135,7 @@ def plan_for(job: Job, records: Records, refs: Sequence[ObjectRef]) -> Plan:
     """Return what is to be done for these objects of a job, by what its place holds already."""
     limit = limit_of(job.recipe)
     keys, known = [], dict[Key, Outcome]()
-    generator = generator_of(refs[0], job.recipe.text()) if refs else ""
+    generator = refs[0].generator_by(job.recipe.text()) if refs else ""
     for ref, read in zip(refs, _read(job, refs, limit), strict=True):
         key = _key(job, ref, read.value or "unreadable", generator)
         keys.append(key)
@@ -176,7 +175,7 @@ def plan_recorded(
     """Return the same by records alone: what objects are made from is not read again, the plain
     command does that. `on_object` is called with how many objects were checked, of how many, and
     the last one."""
-    generator = generator_of(refs[0], job.recipe.text())
+    generator = refs[0].generator_by(job.recipe.text())
 
     def check(ref: ObjectRef) -> tuple[Key, str | None]:
         outcome = records.outcomes.get(name_of_ref(ref))

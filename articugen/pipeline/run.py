@@ -19,7 +19,6 @@ from uuid import uuid4
 from articugen.core.errors import ArticugenError, MachineFault
 from articugen.core.files import megabytes, room_at
 from articugen.core.recipe import Recipe
-from articugen.instance.again import generator_of
 from articugen.pipeline.common import NEVER_MADE, OF_JOB, CommonPlan, key_of, listing_of
 from articugen.pipeline.executors.work import Executor, Work
 from articugen.pipeline.job import Job
@@ -282,7 +281,7 @@ def common_plan(job: Job, refs: Sequence[ObjectRef], command: str) -> CommonPlan
         recipe=job.recipe.text(),
         objects=len(refs),
         listing=listing_of(map(name_of_ref, refs)),
-        generator=generator_of(refs[0], job.recipe.text()) if refs else "",
+        generator=refs[0].generator_by(job.recipe.text()) if refs else "",
         command=command or "articugen generate ...",
         shares=shares,
     )

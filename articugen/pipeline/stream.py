@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from articugen.core.errors import ArticugenError, InvalidArgument, printable
 from articugen.core.yaml_files import nearest
-from articugen.instance.again import generator_of, resolved
+from articugen.instance.again import resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
 from articugen.pipeline.door import jobs_of
@@ -165,7 +165,7 @@ class Stream(Iterator[Row]):
     def __str__(self) -> str:
         """Return what decides all that comes."""
         job, recipe = self.job, self.job.recipe.for_one_object()
-        code = generator_of(self.refs[0], recipe.text())
+        code = self.refs[0].generator_by(recipe.text())
         return (
             f"{self.split or 'every'} {job.category} of {job.source}, recipe "
             f"{recipe.sha256()[:12]}, seed {job.seed}, share {job.share}, {code}"

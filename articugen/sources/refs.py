@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
+from articugen.core import content
 from articugen.core.arrays import Floats
 from articugen.core.geometry import rotation_about, transform
 from articugen.core.records import ArticulatedObject, Joint, Link
@@ -150,3 +151,7 @@ class ObjectRef:
     def forms(self) -> tuple[str, ...]:
         """Forms of `content.FORMS` that it has."""
         return ("varied",) * self.varied + ("rough",) * (self.messy > 1)
+
+    def generator_by(self, recipe: str) -> str:
+        """Return the versions of our code that decide its data by a recipe of this text."""
+        return content.declared(self.category if self.is_made else None, recipe, self.forms)

@@ -21,7 +21,7 @@ from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import lock_folder, read_regular, sha256_of, write_atomically
 from articugen.core.recipe import Recipe
-from articugen.instance.again import generator_of, resolved
+from articugen.instance.again import resolved
 from articugen.instance.preparing import prepare
 from articugen.pipeline.folder import is_unfinished
 from articugen.sources.readers import digest
@@ -229,7 +229,7 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
         return key.ref == entry.input_sha256
     try:
         ref = open_source(source).find(category, key.object_id)
-        code = generator_of(ref, str(witness.about["recipe"]))
+        code = ref.generator_by(str(witness.about["recipe"]))
         recipe = Recipe.of_text(str(witness.about["recipe"]))
         colours = recipe is not None and recipe.shows_colours
         return code != key.generator or digest(ref, colours=colours) == entry.input_sha256
@@ -243,7 +243,7 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
     about, object_id = witness.about, witness.object_id
     source, category = str(about["source"]), str(about["category"])
     ref = open_source(source).find(category, object_id)
-    code = generator_of(ref, str(about["recipe"]))
+    code = ref.generator_by(str(about["recipe"]))
     if code != about["generator"]:
         raise ArticugenError(
             f"{object_id} was made by other code ({about['generator']}, this is "

@@ -14,7 +14,6 @@ from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
 from articugen.core.files import write_atomically
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe
-from articugen.instance.again import generator_of
 from articugen.pipeline.executors.local import Local
 from articugen.pipeline.executors.work import Work
 from articugen.pipeline.job import Job
@@ -160,7 +159,7 @@ def _task(manifest: Manifest, shard: str) -> Task:
     read = "" if ref.is_made else digest(ref, colours=recipe.shows_colours)
     now = {
         "ref": read or f"{source}/{object_id}",
-        "generator": generator_of(ref, manifest.recipe),
+        "generator": ref.generator_by(manifest.recipe),
         "recipe_sha256": recipe.for_one_object().sha256(),
     }
     changed = entry.key.model_copy(update=now).difference(entry.key)

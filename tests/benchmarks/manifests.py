@@ -21,7 +21,6 @@ from pathlib import Path
 from articugen.core.ledger import Ledger
 from articugen.core.place import Folder
 from articugen.core.recipe import load_recipe
-from articugen.instance.again import generator_of
 from articugen.pipeline.common import record_in, shard_names
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.plan import name_of_ref, objects_of
@@ -65,7 +64,7 @@ def outcomes(job: Job, refs: Sequence[ObjectRef]) -> Iterator[Outcome]:
     """As if all had been made."""
     recipe_sha256, generator = (
         job.recipe.for_one_object().sha256(),
-        generator_of(refs[0], job.recipe.text()),
+        refs[0].generator_by(job.recipe.text()),
     )
     for (split, object_id), shard in shard_names(map(name_of_ref, refs)).items():
         key = Key(

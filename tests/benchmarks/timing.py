@@ -11,7 +11,6 @@ import numpy as np
 from articugen.core.records import Floats, dequantize
 from articugen.core.schema import Instance
 from articugen.instance import make, preparing
-from articugen.instance.again import generator_of
 from articugen.instance.preparing import Prepared
 from articugen.pipeline import making, plan
 from articugen.pipeline.job import Job
@@ -80,7 +79,7 @@ def _written(instances: list[Instance], model: Model, folder: Path) -> tuple[flo
     """Seconds an instance, on the clock and of all cores."""
     ref = model.ref
     job = Job(ref.source, ref.category, model.recipe, 0, folder, 1)
-    key = plan._key(job, ref, "", generator_of(ref, job.recipe.text()))
+    key = plan._key(job, ref, "", ref.generator_by(job.recipe.text()))
     attributes = making._attributes(job, making.Task(ref, key, "bench.h5", "measured"))
     _, wall, cpu = timed(lambda: write_shard(folder / "bench.h5", instances, attributes))
     return wall / len(instances), cpu / len(instances)
