@@ -388,6 +388,9 @@ def test_nearest_is_the_nearest(seed, many, few, radius):
         expected[found] = distance.argmin(axis=1)[found]
     np.testing.assert_array_equal(nearest_within(by_cell(points), queries, radius), expected)
     np.testing.assert_array_equal(any_within(by_cell(points), queries, radius), expected >= 0)
+    some = np.arange(len(points)) % 3 == 1
+    among = any_within(by_cell(points), queries, radius, some)
+    np.testing.assert_array_equal(among, any_within(by_cell(points[some]), queries, radius))
 
 
 def test_labels_about_a_point_are_those_of_the_eight_nearest_voxels():

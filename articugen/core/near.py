@@ -97,6 +97,9 @@ def near(cells, points, at, reach, indices):
     return count
 
 
+_ALL = np.zeros(0, np.bool_)
+
+
 class Sorted(NamedTuple):
     """Points (m, 3) in the order of their cells."""
 
@@ -107,27 +110,31 @@ class Sorted(NamedTuple):
 def by_cell(points: Floats) -> Sorted:
     """`points` (m, 3), sorted once for however many questions."""
     if not len(points):
-        return Sorted(points, cells_of(np.zeros((1, 3)), 1.0)._replace(first=np.zeros(2, np.int32)))
+        cells, none = cells_of(np.zeros((1, 3)), 1.0), np.zeros(2, np.int32)
+        return Sorted(points, cells._replace(first=none, order=cells.order[:0]))
     cells = cells_of(points)
     return Sorted(points[cells.order], cells)
 
 
-def any_within(among: Sorted, queries: Floats, radius: float) -> Bools:
-    """Return (n,) whether any of the points lies within `radius` of each query (n, 3)."""
-    return _within(among, queries, radius, True) >= 0
+def any_within(among: Sorted, queries: Floats, radius: float, counts: Bools | None = None) -> Bools:
+    """Return (n,) whether any of the points lies within `radius` of each query (n, 3); `counts`
+    (m,) which of the points, by their places before, do: by default all."""
+    which = _ALL if counts is None else counts[among.cells.order]
+    return _within(among, queries, radius, True, which) >= 0
 
 
 def nearest_within(among: Sorted, queries: Floats, radius: float) -> Indices:
     """Return (n,) which of the points, by their places before, is nearest to each query (n, 3)
     within `radius`, or -1; of several equally near one."""
-    indices = _within(among, queries, radius, False)
+    indices = _within(among, queries, radius, False, _ALL)
     indices[indices >= 0] = among.cells.order[indices[indices >= 0]]
     return indices
 
 
 @kernel
-def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
-    """Return (n,) the place among the sorted points of the nearest to each query, or of any."""
+def _within(among, queries, radius, any_one, counts):  # pragma: no cover - compiled
+    """Return (n,) the place among the sorted points of the nearest to each query, or of any, of
+    those that count: an empty `counts` is all."""
     points, cells = among.points, among.cells
     nearest, reach = np.full(len(queries), -1, np.int64), radius + _ROUNDING
     for k in range(len(queries)):
@@ -139,7 +146,7 @@ def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
             row = ((x_low + x_end) // 2 * cells.shape[1] + (y_low + y_end) // 2) * cells.shape[2]
             if x_low < x_end and y_low < y_end:
                 begin, end = cells.first[row + z_low], cells.first[row + z_end]
-                nearest[k] = _nearest(points, begin, end, query, best)[0]
+                nearest[k] = _nearest(points, begin, end, query, best, counts)[0]
                 if nearest[k] >= 0:
                     continue
         for x in range(x_low, x_end):
@@ -149,7 +156,7 @@ def _within(among, queries, radius, any_one):  # pragma: no cover - compiled
                     continue
                 row = (x * cells.shape[1] + y) * cells.shape[2]
                 begin, end = cells.first[row + z_low], cells.first[row + z_end]
-                i, d = _nearest(points, begin, end, query, best)
+                i, d = _nearest(points, begin, end, query, best, counts)
                 if i >= 0 and (d < best or nearest[k] < 0):
                     best, nearest[k] = d, i
                 if any_one and i >= 0:
@@ -169,13 +176,13 @@ def _off(cells, axis, cell, at):  # pragma: no cover - compiled
 
 
 @inlined
-def _nearest(points, first, last, query, most):  # pragma: no cover - compiled
+def _nearest(points, first, last, query, most, counts):  # pragma: no cover - compiled
     """Return (i, d): nearest of points[first:last], its squared distance; (-1, most) if too far."""
     nearest, least = -1, most
     for i in range(first, last):
         n = np.uintp(i)  # unsigned: numba does not ask whether to count from the end
         x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
         d = x * x + y * y + z * z
-        if d < least or (d == least and nearest < 0):
+        if (d < least or (d == least and nearest < 0)) and (len(counts) == 0 or counts[n]):
             nearest, least = i, d
     return nearest, least

@@ -98,15 +98,13 @@ def _grids_filled(samples: Samples, _: Recipe) -> Iterator[Share]:
     The other way about proves nothing: a thin panel may lie between all voxels' centres.
     """
     row, (points, label) = samples.row, samples.queries
-    inside = is_material(label)
     occupied = by_cell(np.concatenate([points[label > 0], samples.surface]))
-    solid = np.concatenate([points[inside], samples.surface])
-    labels = np.concatenate([label[inside], row.surface_part + np.uint8(1)])
-    whole = by_cell(solid)
+    labels = np.concatenate([label[label > 0], row.surface_part + np.uint8(1)])
+    material = is_material(labels)
     # in which one of the uniform points lies, but for exp(-6)
     ball = max(ANY_SURFACE, (18.0 / (4.0 * math.pi * max(len(row.uniform_points), 1))) ** (1 / 3))
     for part in range(len(row.part_motion)):
-        of_part = by_cell(solid[labels == part + 1])
+        of_part = labels == part + 1
         for resolution, grid in sorted(row.occupancy.items()):
             voxels = _some(np.flatnonzero(grid == part + 1), 400)
             centres = voxel_centres(resolution, voxels)
@@ -116,12 +114,12 @@ def _grids_filled(samples: Samples, _: Recipe) -> Iterator[Share]:
                 "the points show anything",
                 any_within(occupied, centres, ball),
             )
-            met = centres[any_within(whole, centres, CLOSE)]
+            met = centres[any_within(occupied, centres, CLOSE, material)]
             yield _share(
                 "parts",
                 f"only {{share}} of the voxels of part {part} in occupancy_{resolution} are "
                 "close to other samples of that part",
-                any_within(of_part, met, 3.0 * CLOSE),
+                any_within(occupied, met, 3.0 * CLOSE, of_part),
             )
 
 
