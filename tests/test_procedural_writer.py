@@ -14,7 +14,7 @@ from articugen.core.geometry import apply
 from articugen.core.records import Floats
 from articugen.core.seeding import generator
 from articugen.meshes.model_text import Visual, urdf_text
-from articugen.procedural import CATEGORIES, build_model, object_files, write_object
+from articugen.procedural import CATEGORIES, build_model, write_object
 from articugen.procedural.kit import writer
 from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
 from articugen.procedural.kit.solids import box, prism
@@ -255,7 +255,7 @@ def test_an_object_in_memory_is_the_one_that_is_written(tmp_path: Path) -> None:
     assert one.sha256 == other.sha256
     for a, b in zip(one.links, other.links, strict=True):
         assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()
-    contents = object_files("box", name, messy=1)
+    contents = writer.model_files(build_model("box", name), object_id=name, messy=1)
     assert {path.name for path in folder.iterdir()} == {*contents, "solids.json"}
 
 

@@ -1,8 +1,9 @@
 """The bundled objects: parametric models whose exact occupancy is known.
 
-`object_files` makes one as an ordinary URDF with OBJ meshes, in memory; `truth.truth_of` gives its
-exact solids. An object depends on its id, and whether it is a varied one, alone. A category is a
-module of its own here and a line of `CATEGORIES`; docs/extending.md shows how to add one.
+`build_model` makes one, `kit.writer.model_files` its files: an ordinary URDF with OBJ meshes;
+`truth.truth_of` gives its exact solids. An object depends on its id, and whether it is a varied
+one, alone. A category is a module of its own here and a line of `CATEGORIES`; docs/extending.md
+shows how to add one.
 """
 
 import importlib
@@ -15,7 +16,7 @@ import numpy as np
 from articugen.core.errors import InvalidSource
 from articugen.core.seeding import generator
 from articugen.procedural.kit.model import Model
-from articugen.procedural.kit.writer import URDF_NAME, model_files, write_model
+from articugen.procedural.kit.writer import URDF_NAME, write_model
 
 CATEGORIES = {
     "box": {"train": 30, "test": 7},
@@ -58,29 +59,14 @@ def _builder(category: str, *, varied: bool) -> Callable[[np.random.Generator], 
     return getattr(module, "build_varied" if varied else "build", None)
 
 
-def object_files(
-    category: str, object_id: str, *, messy: int = 0, varied: bool = False
-) -> dict[str, bytes]:
-    """Return the files of one object, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
-
-    Args:
-        messy: the same object as real data come (see `writer.model_files`).
-        varied: another object, see `build_model`.
-
-    Raises:
-        InvalidSource: no such category or object.
-    """
-    model = build_model(category, object_id, varied=varied)
-    return model_files(model, object_id=object_id, category=category, messy=messy)
-
-
 def write_object(
     category: str, object_id: str, folder: Path, *, messy: int = 0, varied: bool = False
 ) -> Path:
     """Write one object as `folder`, for other programs; return its URDF's path.
 
     Args:
-        messy, varied: as in `object_files`.
+        messy: the same object as real data come (see `writer.model_files`).
+        varied: another object, see `build_model`.
 
     Raises:
         InvalidSource: no such category or object.

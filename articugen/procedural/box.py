@@ -9,7 +9,7 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.geometry import rotation_about, transform
 from articugen.procedural.kit import GAP
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.model import Model, ModelLink, moving_part
 from articugen.procedural.kit.outlines import rectangle
 from articugen.procedural.kit.solids import box, prism, ring
 
@@ -22,7 +22,7 @@ def build(rng: np.random.Generator) -> Model:
     floor = box((wall - x, wall - y, 0.0), (x - wall, y - wall, wall))
     inner = rectangle(depth - 2 * wall, width - 2 * wall)
     walls = ring(rectangle(depth, width), inner, 0.0, height)
-    links, joints = [ModelLink("body", "box_body", (walls, floor))], []
+    flaps = []
     count, upper = int(rng.choice([1, 2, 4])), np.deg2rad(rng.uniform(110.0, 200.0))
     for k in range(count):
         sideways = k % 2 == 1 if count == 4 else count == 2
@@ -31,10 +31,10 @@ def build(rng: np.random.Generator) -> Model:
         flap = prism(_outline(reach, along, count), height + GAP, height + GAP + wall)
         R = rotation_about((0, 0, 1), turn * np.pi / 2).round()
         name = "flap" if count == 1 else f"flap_{k}"
-        links.append(ModelLink(name, "rotation_lid", (flap.moved(transform(R)),)))
         edge, axis = R @ (reach + GAP, 0.0, height + GAP), R @ (0.0, 1.0, 0.0)
-        joints.append(ModelJoint(f"{name}_hinge", "revolute", "body", name, edge, axis, 0.0, upper))
-    return Model(tuple(links), tuple(joints))
+        solids = (flap.moved(transform(R)),)
+        flaps.append(moving_part(name, "rotation_lid", solids, edge, axis, upper))
+    return Model.of(ModelLink("body", "box_body", (walls, floor)), flaps)
 
 
 def _outline(reach: float, along: float, count: int) -> Floats:

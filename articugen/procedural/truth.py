@@ -112,7 +112,7 @@ def truth_of(
     varied: bool = False,
     sheet_thickness: float | None = None,
 ) -> Truth:
-    """Return the truth of one bundled object; see `procedural.object_files` and `read_truth`."""
+    """Return the truth of one bundled object; see `build_model` and `read_truth`."""
     model = build_model(category, object_id, varied=varied)
     data = truth_file(model, object_id=object_id, category=category, messy=messy)
     return read_truth(data, sheet_thickness=sheet_thickness)

@@ -6,6 +6,7 @@ from pathlib import Path
 from articugen import procedural
 from articugen.core.records import ArticulatedObject
 from articugen.meshes.model_files import FilesInMemory
+from articugen.procedural.kit.writer import URDF_NAME, model_files
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.urdf import load_object
 
@@ -31,10 +32,9 @@ def index_of(category: str, object_id: str) -> int | None:
 
 def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     """Make one object's files in memory and read them as those of any other URDF."""
-    contents = procedural.object_files(
-        ref.category, ref.object_id, messy=ref.messy, varied=ref.varied
-    )
-    path = Path(ref.object_id, procedural.URDF_NAME)
+    model = procedural.build_model(ref.category, ref.object_id, varied=ref.varied)
+    contents = model_files(model, object_id=ref.object_id, messy=ref.messy)
+    path = Path(ref.object_id, URDF_NAME)
     return load_object(ref, settings, path, files=FilesInMemory(contents))
 
 

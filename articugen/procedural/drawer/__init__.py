@@ -14,8 +14,8 @@ from articugen.core.portable import cos, sin
 from articugen.procedural.drawer.furniture import Carcass, Cell, divided, shell, support, top
 from articugen.procedural.drawer.layouts import Layout, draw_layout
 from articugen.procedural.kit import GAP
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
-from articugen.procedural.kit.parts import Rect, frame, handle, knob, panel, plate, row
+from articugen.procedural.kit.model import Model, ModelLink, moving_part
+from articugen.procedural.kit.parts import Rect, frame, handle, knob, plank, plate, row
 from articugen.procedural.kit.solids import Solid, along_x, box, prism
 
 
@@ -96,23 +96,18 @@ def _built(rng: np.random.Generator, layout: Layout, *, varied: bool) -> Model:
         style = replace(style, girth=min(style.girth, 0.2 * lowest))
     body = [*shell(rng, carcass, layout), *boards, *legs]
     body += [] if layout.lidless else top(rng, layout, carcass, slab, overhang, style.bow)
-    links, joints = [], []
+    drawers = []
     for cell in cells:
         if cell.kind == "door":
             body += _false_door(cell, carcass, style)
         elif cell.kind == "blank":
-            o, x1 = cell.opening, carcass.x1
-            body.append(box((x1 - board, o.y0, o.z0), (x1, o.y1, o.z1)))
+            body.append(plank(cell.opening, carcass.x1 - board, carcass.x1))
         elif cell.kind == "drawer":
-            name = f"drawer_{len(links)}"
             solids, length = _drawer(cell, carcass, style)
-            links.append(ModelLink(name, "drawer", tuple(solids)))
             at, stroke = (carcass.x1, *cell.opening.center), round(style.stroke * length, 4)
-            way = (1.0, 0.0, 0.0)
-            joints.append(
-                ModelJoint(f"{name}_slide", "prismatic", "body", name, at, way, 0.0, stroke)
-            )
-    return Model((ModelLink("body", "furniture_body", tuple(body)), *links), tuple(joints))
+            name, way = f"drawer_{len(drawers)}", (1.0, 0.0, 0.0)
+            drawers.append(moving_part(name, "drawer", solids, at, way, stroke, slides=True))
+    return Model.of(ModelLink("body", "furniture_body", tuple(body)), drawers)
 
 
 def _style(rng: np.random.Generator, extent: float, board: float, most_stroke: float) -> Style:
@@ -177,7 +172,7 @@ def _false_door(cell: Cell, carcass: Carcass, style: Style) -> list[Solid]:
     """Build a door that does not open, and the filling behind it."""
     rect, opening = _front_rect(cell, style), cell.opening
     x = carcass.x1 - style.thickness if style.mount == "inset" else carcass.x1
-    filled = box((carcass.x0, opening.y0, opening.z0), (x, opening.y1, opening.z1))
+    filled = plank(opening, carcass.x0, x)
     plain = style.pull in ("none", "cup", "strip")
     pull = "bar" if plain else style.pull
     pulls = _one_pull(pull, min(style.length, 0.5 * rect.height), style, upright=True)
@@ -196,12 +191,14 @@ def _front(rect: Rect, x: float, carcass: Carcass, style: Style) -> list[Solid]:
         case "bevel":
             solids = [plate(rect, x, x + t, bevel=0.45 * t)]
         case "shaker":
-            solids = [frame(rect, hole, x, x + t, segments=1), panel(hole, x, x + 0.7 * t)]
+            board = plank(hole, x, x + 0.7 * t, panel=True)
+            solids = [frame(rect, hole, x, x + t, segments=1), board]
         case "raised":
             solids = [plate(rect, x, x + t, bevel=0.15 * t)]
             solids += [plate(field, x + t, x + 1.5 * t, bevel=0.45 * t)]
         case "slats":
-            solids = [panel(rect, x, x + 0.7 * t), *_slats(rect, x + 0.7 * t, x + 1.15 * t)]
+            board = plank(rect, x, x + 0.7 * t, panel=True)
+            solids = [board, *_slats(rect, x + 0.7 * t, x + 1.15 * t)]
         case "bow":
             y = np.linspace(rect.y0, rect.y1, 14)
             arc = np.stack([x + style.thickness + style.bow * _bulge(y, carcass), y], axis=1)
@@ -236,13 +233,8 @@ def _face(rect: Rect, x: float, y: float, carcass: Carcass, style: Style) -> flo
 def _slats(rect: Rect, x0: float, x1: float) -> list[Solid]:
     count = max(3, round(rect.height / 0.06))
     pitch, groove = rect.height / count, 0.22 * rect.height / count
-    return [
-        box(
-            (x0, rect.y0, rect.z0 + k * pitch + groove / 2),
-            (x1, rect.y1, rect.z0 + (k + 1) * pitch - groove / 2),
-        )
-        for k in range(count)
-    ]
+    spans = [(k * pitch + groove / 2, (k + 1) * pitch - groove / 2) for k in range(count)]
+    return [plank(Rect(rect.y0, rect.z0 + a, rect.y1, rect.z0 + b), x0, x1) for a, b in spans]
 
 
 def _bulge(y: Floats, carcass: Carcass) -> Floats:

@@ -7,8 +7,8 @@ import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
 from articugen.procedural.drawer.layouts import Kind, Layout, Split
-from articugen.procedural.kit.outlines import circle
-from articugen.procedural.kit.parts import Rect, rod, tapered
+from articugen.procedural.kit.outlines import circle, rectangle
+from articugen.procedural.kit.parts import Rect, plank, rod, tapered
 from articugen.procedural.kit.solids import Solid, along_y, block, box, prism, ring, stack
 
 
@@ -55,31 +55,25 @@ def _divided(
     free = (opening.height if rows else opening.width) - board * (len(node.shares) - 1)
     sizes = np.array(node.shares) * (free / sum(node.shares))
     cells, boards = [], []
-    at = opening.z1 if rows else opening.y0
+    at, near = (opening.z1, front.z1) if rows else (opening.y0, front.y0)
     step = -1.0 if rows else 1.0
-    near = front.z1 if rows else front.y0
     for k, (size, child) in enumerate(zip(sizes, node.children, strict=True)):
         end = at + step * size
         last = k == len(sizes) - 1
         far = (front.z0 if rows else front.y1) if last else end + step * board / 2
-        planks, covered = (
-            (Rect(opening.y0, end, opening.y1, at), Rect(front.y0, far, front.y1, near))
-            if rows
-            else (Rect(at, opening.z0, end, opening.z1), Rect(near, front.z0, far, front.z1))
-        )
-        more_cells, more_boards = _divided(child, planks, covered, carcass)
+        piece, covered = _between(opening, rows, at, end), _between(front, rows, near, far)
+        more_cells, more_boards = _divided(child, piece, covered, carcass)
         cells, boards = cells + more_cells, boards + more_boards
-        if not last:
-            a, b = sorted((end, end + step * board))
-            x0, x1 = carcass.x0, carcass.x1
-            low, high = (
-                ((x0, opening.y0, a), (x1, opening.y1, b))
-                if rows
-                else ((x0, a, opening.z0), (x1, b, opening.z1))
-            )
-            boards.append(box(low, high))
         at, near = end + step * board, far
+        if not last:
+            boards.append(plank(_between(opening, rows, end, at), carcass.x0, carcass.x1))
     return cells, boards
+
+
+def _between(rect: Rect, rows: bool, a: float, b: float) -> Rect:
+    """Return the part of a rectangle between two heights, or else between two y."""
+    a, b = min(a, b), max(a, b)
+    return Rect(rect.y0, a, rect.y1, b) if rows else Rect(a, rect.z0, b, rect.z1)
 
 
 def shell(rng: np.random.Generator, carcass: Carcass, layout: Layout) -> list[Solid]:
@@ -148,36 +142,18 @@ def support(rng: np.random.Generator, layout: Layout, board: float) -> tuple[lis
     kind = str(rng.choice(layout.supports))
     y0 = -width / 2 + layout.kneehole * width
     foot = Rect(-depth / 2, y0, depth / 2, width / 2)  # (x, y) instead of (y, z)
-    lift = _LIFTS[kind] * height * rng.uniform(0.85, 1.25)
+    built, share = _SUPPORTS[kind]
+    lift = share * height * rng.uniform(0.85, 1.25)
     if kind.startswith("high"):
         rows = 2.0 if layout.kneehole else 1.0  # of drawers into which a hand must get
         lift = min(lift, height - (2.5 + 2.5 * rows) * board - 0.04 * rows)
-    solids = _SUPPORTS[kind](foot, lift, board)
+    solids = built(foot, lift, board)
     if layout.kneehole > 0.0:
         x, y = depth / 2, -width / 2
         solids.append(box((-x, y, 0.0), (x, y + 1.2 * board, height - board)))
         beam = y0 + 0.5 * board
         solids.append(box((-x, y + board, 0.5 * height), (board - x, beam, height - board)))
     return solids, lift
-
-
-_LIFTS = {
-    "plinth": 0.1,
-    "floor": 0.02,
-    "legs": 0.2,
-    "legs_round": 0.2,
-    "splayed": 0.26,
-    "sled": 0.2,
-    "brackets": 0.12,
-    "casters": 0.1,
-    "tall": 0.42,
-    "tall_round": 0.6,
-    "high": 0.78,
-    "high_round": 0.78,
-    "high_shelf": 0.78,
-    "high_bars": 0.78,
-}
-"""The floor of the carcass above the ground, part of the whole height."""
 
 
 def _corners(foot: Rect, inset: float) -> list[tuple[float, float, float, float]]:
@@ -203,7 +179,7 @@ def _legs(foot: Rect, lift: float, board: float) -> list[Solid]:
     wide = 1.1 * board
     solids = []
     for x, y, i, j in _corners(foot, wide):
-        square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * wide
+        square = rectangle(2 * wide, 2 * wide)
         tip = 0.55 * square + (0.45 * wide * i, 0.45 * wide * j)
         solids.append(stack([tip, square], (0.0, lift)).shifted(x, y))
     return solids
@@ -287,19 +263,20 @@ def _tall_round(foot: Rect, lift: float, board: float) -> list[Solid]:
     return [*solids, rod([(x, foot.z0 + inset, z), (x, foot.z1 - inset, z)], r)]
 
 
-_SUPPORTS: dict[str, Callable[[Rect, float, float], list[Solid]]] = {
-    "plinth": _plinth,
-    "floor": _floor,
-    "legs": _legs,
-    "legs_round": _legs_round,
-    "splayed": _splayed,
-    "sled": _sled,
-    "brackets": _brackets,
-    "casters": _casters,
-    "tall": _tall,
-    "tall_round": _tall_round,
-    "high": _legs,
-    "high_round": _legs_round,
-    "high_shelf": _tall,
-    "high_bars": _tall_round,
+_SUPPORTS: dict[str, tuple[Callable[[Rect, float, float], list[Solid]], float]] = {
+    "plinth": (_plinth, 0.1),
+    "floor": (_floor, 0.02),
+    "legs": (_legs, 0.2),
+    "legs_round": (_legs_round, 0.2),
+    "splayed": (_splayed, 0.26),
+    "sled": (_sled, 0.2),
+    "brackets": (_brackets, 0.12),
+    "casters": (_casters, 0.1),
+    "tall": (_tall, 0.42),
+    "tall_round": (_tall_round, 0.6),
+    "high": (_legs, 0.78),
+    "high_round": (_legs_round, 0.78),
+    "high_shelf": (_tall, 0.78),
+    "high_bars": (_tall_round, 0.78),
 }
+"""What stands on the floor, and how high it lifts the carcass, part of the whole height."""

@@ -15,17 +15,16 @@ of half of the varied glasses stand upright too, the left one higher than the ri
 temples, which are low and nearly straight there, need to pass each other.
 """
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Bools, Floats
 from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import cos, norm, power, product, sin
 from articugen.procedural.eyeglasses.shape import Glasses, draw, elsewise
 from articugen.procedural.kit import MM
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.model import Model, ModelJoint, ModelLink, first_sound
 from articugen.procedural.kit.outlines import circle, ellipse, rounded_rectangle
 from articugen.procedural.kit.solids import Solid, along_x, cylinder, prism, stack, sweep
 
@@ -47,14 +46,15 @@ def build(rng: np.random.Generator) -> Model:
 def build_varied(rng: np.random.Generator) -> Model:
     """Build glasses of any proportions, some without lenses, whose hinges lean or stand upright at
     two heights."""
-    while True:
+
+    def drawn() -> Model:
+        """May raise ValueError: temples too tall to fold, a bow that folds over itself."""
         shape, upright = elsewise(rng, draw(rng)), bool(rng.uniform() < 0.5)
         if upright:
             shape = replace(shape, temple=(shape.temple[0], min(shape.temple[1], _LOW)))
-        with suppress(ValueError):  # temples too tall to fold, a bow that folds over itself
-            model = _built(rng, shape, upright=upright)
-            if all(len(s.half_spaces) for link in model.links for s in link.solids):
-                return model
+        return _built(rng, shape, upright=upright)
+
+    return first_sound(drawn)
 
 
 def _built(rng: np.random.Generator, shape: Glasses, *, upright: bool) -> Model:
@@ -94,26 +94,14 @@ def _built(rng: np.random.Generator, shape: Glasses, *, upright: bool) -> Model:
         parts["front"] += fixed if sign > 0 else [s.mirrored(1) for s in fixed]
         parts[f"{side}_temple"] = temple if sign > 0 else [s.mirrored(1) for s in temple]
     lowest = min(float(s.vertices[:, 2].min()) for solids in parts.values() for s in solids)
-    links = [
-        ModelLink(
-            name,
-            "frame" if name == "front" else "leg",
-            tuple(solid.shifted(z=-lowest) for solid in solids),
-        )
-        for name, solids in parts.items()
-    ]
-    joints = [
-        ModelJoint(
-            name=f"{side}_hinge",
-            kind="revolute",
-            parent="front",
-            child=f"{side}_temple",
-            origin=hinges[side] * (1.0, sign, 1.0) - (0.0, 0.0, lowest),
-            axis=-sign * np.array([0.0, -sin(lean), cos(lean)]),
-            upper=shape.upper,
-        )
-        for side, sign in _SIDES.items()
-    ]
+    links, joints = [], []
+    for name, solids in parts.items():
+        semantic = "frame" if name == "front" else "leg"
+        links.append(ModelLink(name, semantic, tuple(s.shifted(z=-lowest) for s in solids)))
+    for side, sign in _SIDES.items():
+        ends = ("front", f"{side}_temple", hinges[side] * (1.0, sign, 1.0) - (0.0, 0.0, lowest))
+        axis = -sign * np.array([0.0, -sin(lean), cos(lean)])
+        joints.append(ModelJoint(f"{side}_hinge", "revolute", *ends, axis, upper=shape.upper))
     return Model(tuple(links), tuple(joints))
 
 
@@ -153,8 +141,8 @@ def _shield(rng: np.random.Generator, s: Glasses) -> tuple[list[Solid], Floats]:
     high = deep * power(nose, 1.5)
     bottom = -deep * (1.0 - u**2 * u**2 * rng.uniform(0.3, 0.75)) + high * rng.uniform(0.5, 0.75)
     t = max(s.lens_thickness, 1.2 * MM) / 2
-    corners = [np.stack([x + 0 * u, z], axis=1) for x, z in ((-t, bottom), (t, bottom))]
-    corners += [np.stack([x + 0 * u, z], axis=1) for x, z in ((t, top), (-t, top))]
+    outline = ((-t, bottom), (t, bottom), (t, top), (-t, top))
+    corners = [np.stack([x + 0 * u, z], axis=1) for x, z in outline]
     pane = sweep(path, np.stack(corners, axis=1))
     bar = np.c_[path[:, :2], top]
     rim = sweep(bar, _flat_section(s.rim[1], s.rim[0]))
@@ -206,10 +194,22 @@ def _arch(s: Glasses, start: Floats, rise: float, forward: float) -> Solid:
 
 def _inner_point(s: Glasses, z: float) -> Floats:
     """Return the point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
-    inner = s.lens[s.lens[:, 0] < 0.0]
-    order = np.argsort(inner[:, 1], kind="stable")
-    depth = 1.5 * s.wire if s.style == "rimless" else 0.0
-    return np.array([np.interp(z, inner[order, 1], inner[order, 0]) + depth, z])
+    return _at_edge(s, s.lens[:, 0] < 0.0, z, 1.5 * s.wire)
+
+
+def _outer_point(s: Glasses, z: float) -> Floats:
+    """Return where the right end piece starts at a height: on the rim or, without one, a little
+    inside the lens."""
+    return s.place(_at_edge(s, s.lens[:, 0] > 0.0, z, -4 * MM))
+
+
+def _at_edge(s: Glasses, half: Bools, z: float, inside: float) -> Floats:
+    """Return the point (y, z) at height `z` of one half of the lens's edge, or `inside` it along y
+    where there is no rim."""
+    edge = s.lens[half]
+    edge = edge[np.argsort(edge[:, 1], kind="stable")]
+    y = np.interp(z, edge[:, 1], edge[:, 0]) + (inside if s.style == "rimless" else 0.0)
+    return np.array([y, z])
 
 
 def _nose_pads(rng: np.random.Generator, s: Glasses) -> list[Solid]:
@@ -276,15 +276,6 @@ def _temple_section(s: Glasses, scale: float = 1.0) -> Floats:
     if s.round_temple:
         return circle(s.temple[0] / 2 * scale, 8)
     return _flat_section(s.temple[0], s.temple[1] * scale)
-
-
-def _outer_point(s: Glasses, z: float) -> Floats:
-    """Return where the right end piece starts at a height: on the rim or, without one, a little
-    inside the lens."""
-    outer = s.lens[s.lens[:, 0] > 0.0]
-    order = np.argsort(outer[:, 1], kind="stable")
-    y = float(np.interp(z, outer[order, 1], outer[order, 0]))
-    return s.place(np.array([y - (4 * MM if s.style == "rimless" else 0.0), z]))
 
 
 def _end_piece(s: Glasses, start: Floats, hinge: Floats) -> Solid:

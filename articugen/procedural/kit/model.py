@@ -4,6 +4,8 @@ Everything is given in the object's own frame at q = 0 (right-handed, z up, metr
 needs to think in link frames. `writer` takes care of those.
 """
 
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.core.arrays import Floats
+from articugen.core.geometry import bounds
 from articugen.procedural.kit.solids import Solid
 
 ROOT_NAME = "base"  # the empty link on which a messy model stands
@@ -68,4 +71,39 @@ class Model:
         if sorted(hung) != sorted(link.name for link in self.links):
             raise ValueError("each link but the first must hang on one joint")
         points = np.concatenate([s.vertices for link in self.links for s in link.solids])
-        object.__setattr__(self, "bounds", np.stack([points.min(axis=0), points.max(axis=0)]))
+        object.__setattr__(self, "bounds", bounds(points))
+
+    @staticmethod
+    def of(body: ModelLink, moving: Iterable[tuple[ModelLink, ModelJoint]]) -> "Model":
+        """Build a model of its fixed body and of what moves: links, each with its joint."""
+        moving = tuple(moving)
+        return Model((body, *(link for link, _ in moving)), tuple(joint for _, joint in moving))
+
+
+def moving_part(
+    name: str,
+    semantic: str,
+    solids: Iterable[Solid],
+    at: ArrayLike,
+    axis: ArrayLike,
+    upper: float,
+    *,
+    slides: bool = False,
+) -> tuple[ModelLink, ModelJoint]:
+    """Return a link that hangs on the link `body`, and its joint, which turns about `axis` through
+    `at` by 0 to `upper`, rad, or `slides` along it by as many metres; the joint is called
+    `<name>_hinge` or `<name>_slide`."""
+    joint = f"{name}_slide" if slides else f"{name}_hinge"
+    kind = "prismatic" if slides else "revolute"
+    link = ModelLink(name, semantic, tuple(solids))
+    return link, ModelJoint(joint, kind, "body", name, at, axis, 0.0, upper)
+
+
+def first_sound(draw: Callable[[], Model]) -> Model:
+    """Return the first model that is drawn with convex cells, which outlines that cross have not;
+    a draw may also give up by ValueError."""
+    while True:
+        with suppress(ValueError):
+            model = draw()
+            if all(len(s.half_spaces) for link in model.links for s in link.solids):
+                return model

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.core.arrays import Floats
-from articugen.core.geometry import transform
-from articugen.core.portable import cos, norm, sin
+from articugen.core.geometry import rotation_about, transform
+from articugen.core.portable import arctan2, cos, norm, sin
 from articugen.procedural.kit.outlines import circle, rounded_rectangle
 from articugen.procedural.kit.solids import (
     Solid,
@@ -65,9 +65,9 @@ def plate(rect: Rect, x0: float, x1: float, *, radius: float = 0.0, bevel: float
     return along_x(block(lower, upper, radius=radius, bevel=(0.0, bevel), segments=4))
 
 
-def panel(rect: Rect, x0: float, x1: float) -> Solid:
-    """Build a thin plate that a messy model may write as a sheet."""
-    return box((x0, rect.y0, rect.z0), (x1, rect.y1, rect.z1), panel=True)
+def plank(rect: Rect, x0: float, x1: float, *, panel: bool = False) -> Solid:
+    """Build a plain board between x0 and x1; a thin `panel` may be written as a sheet."""
+    return box((x0, rect.y0, rect.z0), (x1, rect.y1, rect.z1), panel=panel)
 
 
 def frame(
@@ -83,6 +83,21 @@ def frame(
     """Build a plate with a rectangular hole; both corners may be rounded."""
     sizes = (outer.outline(outer_radius, segments), inner.outline(inner_radius, segments))
     return along_x(ring(*sizes, x0, x1))
+
+
+def leaning(rect: Rect, back: float, foot: float, head: float) -> tuple[Solid, Floats]:
+    """Build a board from x = `back` to x = `foot` at its lower and `head` at its upper edge.
+
+    Returns:
+        The board, and the transform (4, 4) that puts what stands at the origin, looking along +x,
+        on the middle of its face.
+    """
+    outline = np.array([(rect.z0, back), (rect.z1, back), (rect.z1, head), (rect.z0, foot)])
+    R = rotation_about((0, 1, 0), -arctan2(foot - head, rect.height))
+    return (
+        along_y(prism(outline, rect.y0, rect.y1)),
+        transform(R, ((foot + head) / 2, *rect.center)),
+    )
 
 
 def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:

@@ -37,8 +37,8 @@ _YUP_RPY = (1.5707963267948966, 0.0, -1.5707963267948966)
 """Turns meshes with y up, as PartNet-Mobility publishes them, to z up."""
 
 
-def model_files(model: Model, *, object_id: str, category: str, messy: int = 0) -> dict[str, bytes]:
-    """Return the files of `model`, by name, without the truth.
+def model_files(model: Model, *, object_id: str, messy: int = 0) -> dict[str, bytes]:
+    """Return the files of `model`, by name: `model.urdf`, OBJ meshes and `semantics.txt`.
 
     Args:
         messy: the same object as real data come, see `rough`: 1 as badly, 2 as roughly; y-up
@@ -77,7 +77,7 @@ def write_model(
     Raises:
         MachineFault: the folder cannot be written to.
     """
-    contents = model_files(model, object_id=object_id, category=category, messy=messy)
+    contents = model_files(model, object_id=object_id, messy=messy)
     contents[TRUTH_NAME] = truth_file(model, object_id=object_id, category=category, messy=messy)
     with writing(folder):
         make_folder(folder)

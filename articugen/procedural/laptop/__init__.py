@@ -58,19 +58,12 @@ def _built(rng: np.random.Generator, shape: LaptopShape, upper: float) -> Model:
         base += [*_bumpers(shape, shape.floor + 2 * MM, shape.deck), *_handle(rng, shape)]
         lid += _bumpers(shape, shape.under, shape.back + 2 * MM)
     T = _T_WORLD_USER @ transform(translation=(0.0, 0.0, -shape.floor))
-    joint = ModelJoint(
-        name="hinge",
-        kind="revolute",
-        parent="body",
-        child="lid",
-        origin=T[:3, 3],
-        axis=(0.0, 1.0, 0.0),
-        upper=upper,
-    )
     links = (
         ModelLink("body", "base_body", tuple(s.moved(T) for s in base)),
         ModelLink("lid", "screen_frame", tuple(s.moved(T) for s in lid)),
     )
+    axis = (0.0, 1.0, 0.0)
+    joint = ModelJoint("hinge", "revolute", "body", "lid", T[:3, 3], axis, upper=upper)
     return Model(links, (joint,))
 
 

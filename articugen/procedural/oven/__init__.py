@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.procedural.kit import GAP, RANGE
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.model import Model, ModelLink, moving_part
 from articugen.procedural.kit.outlines import circle, matched
 from articugen.procedural.kit.parts import Rect, frame, handle, plate, rod, row, tapered
 from articugen.procedural.kit.solids import Solid, along_x, box, prism, ring
@@ -70,23 +70,18 @@ def assembled(
         body += [*_door(oven, rect, 0.0), *pull.on(rect)]
     for rect in oven.drawers:
         body += [plate(rect, 0.0, oven.thickness, bevel=0.12 * oven.thickness), *pull.low(rect)]
-    links, joints = [ModelLink("body", f"{name}_body", tuple(body))], []
+    moving = []
     for k, (leaf, cavity) in enumerate(zip(oven.doors, cavities, strict=True)):
         door = "door" if len(cavities) == 1 else f"door_{k}"
         solids = [*_door(oven, leaf.rect, GAP), *pull.on(leaf.rect, GAP, leaf.hinge)]
         if leaf.hinge == "bottom":
             solids += _plug(rng, oven, leaf.rect, cavity.opening)
-        links.append(ModelLink(door, "door", tuple(solids)))
         at, axis = _axis(leaf)
-        hinge = (GAP + oven.thickness, *at)
-        joints.append(
-            ModelJoint(f"{door}_hinge", "revolute", "body", door, hinge, axis, 0.0, upper)
-        )
+        moving.append(moving_part(door, "door", solids, (GAP + oven.thickness, *at), axis, upper))
     for k, rack in enumerate(racks):
-        links.append(ModelLink(f"rack_{k}", "shelf", tuple(rack)))
-        slide = (f"rack_{k}_slide", "prismatic", "body", f"rack_{k}", rack[0].vertices[0])
-        joints.append(ModelJoint(*slide, (1.0, 0.0, 0.0), 0.0, round(0.5 * oven.depth, 4)))
-    return Model(tuple(links), tuple(joints))
+        at, way, stroke = rack[0].vertices[0], (1.0, 0.0, 0.0), round(0.5 * oven.depth, 4)
+        moving.append(moving_part(f"rack_{k}", "shelf", rack, at, way, stroke, slides=True))
+    return Model.of(ModelLink("body", f"{name}_body", tuple(body)), moving)
 
 
 def _axis(leaf: Leaf) -> tuple[tuple[float, float], tuple[float, float, float]]:

@@ -5,14 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.geometry import rotation_about, transform
-from articugen.core.portable import arctan2
 from articugen.procedural.kit.outlines import circle
-from articugen.procedural.kit.parts import Rect, knob, plate, rod, row, tapered
-from articugen.procedural.kit.solids import Solid, along_y, block, box, cylinder, prism, ring
+from articugen.procedural.kit.parts import Rect, knob, leaning, plate, rod, row, tapered
+from articugen.procedural.kit.solids import Solid, block, box, cylinder, ring
 from articugen.procedural.oven.plans import Oven
-
-Spots = list[tuple[float, float]]
 
 
 def control_panel(rng: np.random.Generator, oven: Oven, rect: Rect) -> list[Solid]:
@@ -22,12 +18,8 @@ def control_panel(rng: np.random.Generator, oven: Oven, rect: Rect) -> list[Soli
         radius = min(0.6 * oven.radius, 0.3 * rect.width)
         board = plate(rect, 0.0, t, radius=radius, bevel=0.1 * t)
         return [board, *_column_of_controls(rng, oven, rect)]
-    lean = 0.75 * t if oven.sloped else 0.0
-    # (z, x), counter-clockwise; the front edge leans back towards the top.
-    outline = np.array([(rect.z0, 0.0), (rect.z1, 0.0), (rect.z1, t - lean), (rect.z0, t)])
-    slope = arctan2(lean, rect.height)
-    T = transform(rotation_about((0, 1, 0), -slope), (t - lean / 2, *rect.center))
-    return [along_y(prism(outline, rect.y0, rect.y1)), *_row_of_controls(rng, oven, rect, T)]
+    board, T = leaning(rect, 0.0, t, 0.25 * t if oven.sloped else t)
+    return [board, *_row_of_controls(rng, oven, rect, T)]
 
 
 def _row_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect, T: Floats) -> list[Solid]:
@@ -91,16 +83,10 @@ def back_guard(rng: np.random.Generator, oven: Oven) -> list[Solid]:
     if oven.guard <= 0.0:
         return []
     body, back = oven.body, -oven.depth
-    z0, z1 = body.z1, body.z1 + oven.guard
-    foot, head = back + rng.uniform(0.06, 0.09), back + 0.03
-    outline = np.array([(z0, back), (z1, back), (z1, head), (z0, foot)])
-    board = along_y(prism(outline, body.y0, body.y1))
+    face = Rect(body.y0, body.z1, body.y1, body.z1 + oven.guard)
+    board, T = leaning(face, back, back + rng.uniform(0.06, 0.09), back + 0.03)
     if oven.guard < 0.1:
         return [board]
-    slope = arctan2(foot - head, z1 - z0)
-    middle = ((foot + head) / 2, *body.center[:1], (z0 + z1) / 2)
-    T = transform(rotation_about((0, 1, 0), -slope), middle)
-    face = Rect(body.y0, z0, body.y1, z1)
     if oven.guard_controls:
         return [board, *_row_of_controls(rng, oven, face, T)]
     return [board, *(s.moved(T) for s in _display(rng, 0.12, 0.025, 0.012 * oven.extent))]
@@ -122,7 +108,7 @@ def cooktop(rng: np.random.Generator, oven: Oven) -> list[Solid]:
     return [*solids, *(s.shifted(z=body.z1 + slab) for s in burners)]
 
 
-def _spots(area: Rect, columns: int) -> Spots:
+def _spots(area: Rect, columns: int) -> list[tuple[float, float]]:
     """Return (x, y) of two rows of burners."""
     x, y = area.center
     return [

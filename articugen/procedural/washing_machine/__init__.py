@@ -5,18 +5,14 @@ The body is solid around the drum. The door hangs in front of it, hinged at its 
 side; its bowl reaches through the opening and is so tapered that it swings out without touching.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
-
 import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
-from articugen.core.portable import arctan2
 from articugen.procedural.kit import GAP, RANGE
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.model import Model, ModelLink, first_sound, moving_part
 from articugen.procedural.kit.outlines import circle, matched, rounded_rectangle
-from articugen.procedural.kit.parts import Rect, handle, lathe, plate, row, tapered
-from articugen.procedural.kit.solids import Solid, along_x, along_y, block, box, prism, ring
+from articugen.procedural.kit.parts import Rect, handle, lathe, leaning, plank, plate, row, tapered
+from articugen.procedural.kit.solids import Solid, along_x, block, box, prism, ring
 from articugen.procedural.washing_machine.controls import console, panel
 from articugen.procedural.washing_machine.plan import Washer, draw
 from articugen.procedural.washing_machine.top_loader import build_top_loader
@@ -28,7 +24,7 @@ def build(rng: np.random.Generator) -> Model:
     One in a hundred draws has a drum that comes through the casing, or a bowl too flat for its
     wall: it is drawn again.
     """
-    return _sound(lambda: _drawn(rng, draw(rng), RANGE[1]))
+    return first_sound(lambda: _drawn(rng, draw(rng), RANGE[1]))
 
 
 def build_varied(rng: np.random.Generator) -> Model:
@@ -39,16 +35,7 @@ def build_varied(rng: np.random.Generator) -> Model:
             return build_top_loader(rng)
         return _drawn(rng, draw(rng, varied=True), np.deg2rad(rng.uniform(90.0, 135.0)))
 
-    return _sound(drawn)
-
-
-def _sound(drawn: Callable[[], Model]) -> Model:
-    """Return the first that is drawn with convex cells."""
-    while True:
-        model = drawn()
-        with suppress(ValueError):  # cells that are not convex, which outlines that cross give
-            if all(len(s.half_spaces) for link in model.links for s in link.solids):
-                return model
+    return first_sound(drawn)
 
 
 def _drawn(rng: np.random.Generator, washer: Washer, upper: float) -> Model:
@@ -58,23 +45,15 @@ def _drawn(rng: np.random.Generator, washer: Washer, upper: float) -> Model:
     if washer.stacked:
         dryer = [*unit, *_hinge(washer), *(s.shifted(x=-GAP) for s in door)]
         body += [s.shifted(z=washer.body.height + 0.02) for s in dryer]
-        between = washer.body.z1 - 0.01
-        inner = washer.body.shrunk(0.02)
-        body.append(
-            box((-washer.depth + 0.02, inner.y0, between), (-0.02, inner.y1, between + 0.04))
-        )
+        between, inner = washer.body.z1 - 0.01, washer.body.shrunk(0.02)
+        joint = Rect(inner.y0, between, inner.y1, between + 0.04)
+        body.append(plank(joint, -washer.depth + 0.02, -0.02))
     side = 1.0 if rng.uniform() < 0.5 else -1.0
     if side < 0.0:
         body, door = ([s.mirrored(1) for s in solids] for solids in (body, door))
     hinge = (GAP + washer.thickness, side * washer.rim, washer.middle)
-    joint = ModelJoint(
-        "door_hinge", "revolute", "body", "door", hinge, (0.0, 0.0, side), 0.0, upper
-    )
-    links = (
-        ModelLink("body", "washing_machine_body", tuple(body)),
-        ModelLink("door", "door", tuple(door)),
-    )
-    return Model(links, (joint,))
+    opens = moving_part("door", "door", door, hinge, (0.0, 0.0, side), upper)
+    return Model.of(ModelLink("body", "washing_machine_body", tuple(body)), [opens])
 
 
 def _casing(washer: Washer) -> list[Solid]:
@@ -143,15 +122,11 @@ def _controls(rng: np.random.Generator, washer: Washer) -> list[Solid]:
         at = (-washer.depth, washer.body.z1)
         return console(rng, at, (washer.body.width, high), (foot, 0.04), e)
     slab = rect.shrunk(0.5 * washer.radius, 0.25 * washer.radius).shrunk(0.0, 0.002)
-    y, z = slab.center
     out = rng.uniform(0.4, 1.2) * e
     lean = rng.uniform(0.5, 2.5) * e if rng.uniform() < 0.35 and washer.radius < 0.03 else 0.0
-    outline = np.array([(slab.z0, 0.0), (slab.z1, 0.0), (slab.z1, out), (slab.z0, out + lean)])
-    board = along_y(prism(outline, slab.y0, slab.y1))
+    board, T = leaning(slab, 0.0, out + lean, out)
     if lean == 0.0:
         board = plate(slab, 0.0, out, radius=0.3 * washer.radius, bevel=0.2 * out)
-    turn = rotation_about((0, 1, 0), -arctan2(lean, slab.height))
-    T = transform(turn, (out + lean / 2, y, z))
     placed = panel(rng, slab.width, slab.height, e, tray=True)
     return [board, *(s.moved(T) for s in placed)]
 

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from articugen.core.geometry import rotation_about, transform
-from articugen.core.portable import arctan2
 from articugen.procedural.kit.outlines import circle
-from articugen.procedural.kit.parts import Rect, handle, knob, plate, row
-from articugen.procedural.kit.solids import Solid, along_x, along_y, prism, ring
+from articugen.procedural.kit.parts import Rect, handle, knob, leaning, plate, row
+from articugen.procedural.kit.solids import Solid, along_x, ring
 
 
 def panel(
@@ -51,13 +49,11 @@ def console(
         size: its width and height.
         deep: how deep it is at its foot and at its head.
     """
-    (back, z), (width, high), (foot, head) = at, size, deep
-    outline = np.array([(0.0, 0.0), (high, 0.0), (high, head), (0.0, foot)])
-    board = along_y(prism(outline, -width / 2, width / 2)).shifted(x=back, z=z)
-    middle = (back + (foot + head) / 2, 0.0, z + high / 2)
-    T = transform(rotation_about((0, 1, 0), -arctan2(foot - head, high)), middle)
+    (back, z), (width, high) = at, size
+    board, T = leaning(Rect(-width / 2, 0.0, width / 2, high), 0.0, *deep)
+    T[:3, 3] += (back, 0.0, z)
     placed = panel(rng, width, 0.8 * high, e, tray=False)
-    return [board, *(s.moved(T) for s in placed)]
+    return [board.shifted(back, 0.0, z), *(s.moved(T) for s in placed)]
 
 
 def _tray(rng: np.random.Generator, rect: Rect, e: float) -> list[Solid]:

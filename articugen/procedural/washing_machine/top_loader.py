@@ -8,7 +8,7 @@ import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
 from articugen.procedural.kit import GAP
-from articugen.procedural.kit.model import Model, ModelJoint, ModelLink
+from articugen.procedural.kit.model import Model, ModelLink, moving_part
 from articugen.procedural.kit.outlines import circle, matched, rectangle
 from articugen.procedural.kit.parts import row, tapered
 from articugen.procedural.kit.solids import Solid, block, box, prism, ring
@@ -41,14 +41,8 @@ def build_top_loader(rng: np.random.Generator) -> Model:
     thick = u(1.2, 2.8) * wall
     lid = _lid(rng, (hinge_x, -front), width * u(0.8, 0.98), deck + GAP, thick, wall)
     hinge = (hinge_x, 0.0, deck + GAP + thick)
-    joint = ModelJoint(
-        "door_hinge", "revolute", "body", "door", hinge, (0.0, -1.0, 0.0), 0.0, upper
-    )
-    links = (
-        ModelLink("body", "washing_machine_body", tuple(body)),
-        ModelLink("door", "door", tuple(lid)),
-    )
-    return Model(links, (joint,))
+    opens = moving_part("door", "door", lid, hinge, (0.0, -1.0, 0.0), upper)
+    return Model.of(ModelLink("body", "washing_machine_body", tuple(body)), [opens])
 
 
 def _casing(
