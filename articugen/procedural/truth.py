@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
-from articugen.core.geometry import cross
+from articugen.core.geometry import bounds, cross
+from articugen.core.jit import dot, helper, kernel, vector
 from articugen.core.portable import norm, turned
 from articugen.procedural import build_model
 from articugen.procedural.kit.writer import truth_file
@@ -161,8 +161,7 @@ def _slab(triangle: Floats, thickness: float) -> tuple[Floats, Floats]:
     across = normal * thickness / 2
     normals = np.stack([normal, -normal, *sides])
     on_plane = np.stack([triangle[0] + across, triangle[0] - across, *triangle])
-    corners = np.concatenate([triangle + across, triangle - across])
-    box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    box = bounds(np.concatenate([triangle + across, triangle - across]))
     return np.c_[normals, np.sum(normals * on_plane, axis=1)], box
 
 
@@ -170,8 +169,8 @@ def _contiguous(points: Floats) -> Floats:
     return np.ascontiguousarray(points, dtype=np.float64)
 
 
-@njit(cache=True)
-def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
+@kernel
+def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover - compiled
     """Return which links hold each point."""
     planes, first_plane, boxes = cells
     holds = np.zeros((len(points), link_count), np.bool_)
@@ -195,19 +194,21 @@ def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover
     return holds
 
 
-@njit(cache=True)
-def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover
+@kernel
+def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover - compiled
     """Return which rays meet a cell; after a point's first free ray, if asked, its others stay
     False."""
     planes, first_plane, boxes = cells
     hit = np.zeros((len(points), len(directions)), np.bool_)
     for i in range(len(points)):
         last = 0  # The cell that stopped the ray before will often stop the next one.
+        p = vector(points, i)
         for j in range(len(directions)):
+            way = vector(directions, j)
             for k in range(len(boxes)):
                 c = (last + k) % len(boxes)
-                if _meets_box(points[i], directions[j], boxes[c]) and _meets_cell(
-                    points[i], directions[j], planes[first_plane[c] : first_plane[c + 1]]
+                if _meets_box(p, way, boxes, c) and _meets_cell(
+                    p, way, planes, first_plane[c], first_plane[c + 1]
                 ):
                     hit[i, j] = True
                     last = c
@@ -217,30 +218,31 @@ def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover
     return hit
 
 
-@njit(cache=True)
-def _meets_box(point, direction, box):  # pragma: no cover
-    """Return whether the ray meets the box: clipped by three slabs (Kay and Kajiya 1986)."""
+@helper
+def _meets_box(point, direction, boxes, c):  # pragma: no cover - compiled
+    """Return whether the ray meets box c: clipped by three slabs (Kay and Kajiya 1986)."""
     start, end = 0.0, np.inf
     for k in range(3):
         if direction[k] == 0.0:
-            if point[k] < box[0, k] or point[k] > box[1, k]:
+            if point[k] < boxes[c, 0, k] or point[k] > boxes[c, 1, k]:
                 return False
             continue
-        a = (box[0, k] - point[k]) / direction[k]
-        b = (box[1, k] - point[k]) / direction[k]
+        a = (boxes[c, 0, k] - point[k]) / direction[k]
+        b = (boxes[c, 1, k] - point[k]) / direction[k]
         start, end = max(start, min(a, b)), min(end, max(a, b))
         if start > end:
             return False
     return True
 
 
-@njit(cache=True)
-def _meets_cell(point, direction, planes):  # pragma: no cover
-    """Return whether the ray meets a convex cell: clipped by its planes (Cyrus and Beck 1978)."""
+@helper
+def _meets_cell(point, direction, planes, first, last):  # pragma: no cover - compiled
+    """Return whether the ray meets the convex cell of planes `first` to `last` - 1: clipped by them
+    (Cyrus and Beck 1978)."""
     start, end = 0.0, np.inf
-    for p in planes:
-        room = p[3] - (p[0] * point[0] + p[1] * point[1] + p[2] * point[2])
-        speed = p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2]
+    for m in range(first, last):
+        normal = vector(planes, m)
+        room, speed = planes[m, 3] - dot(normal, point), dot(normal, direction)
         if speed > 0.0:
             end = min(end, room / speed)
         elif speed < 0.0:

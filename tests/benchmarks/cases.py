@@ -173,8 +173,8 @@ def _hidden(points, eyes, in_image, cells):
             blocked = False
             for k in range(len(boxes)):
                 c = (last + k) % len(boxes)
-                if _meets_box(points[i], towards, boxes[c]) and _meets_cell(
-                    points[i], towards, planes[first_plane[c] : first_plane[c + 1]]
+                if _meets_box(points[i], towards, boxes, c) and _meets_cell(
+                    points[i], towards, planes, first_plane[c], first_plane[c + 1]
                 ):
                     blocked, last = True, c
                     break
