@@ -76,10 +76,10 @@ def test_only_closed_pieces_that_look_outwards_are_closed():
     touching = [box((0.1, 0.1, 0.1), (x, 0.3, 0)) for x in (0.0, 0.1)]  # a wall and four edges
     pieces = [ball, inside_out, holed, *touching]
     mesh = labelled(*pieces)
-    closed = [bool(solidify.closed(mesh.part(k)).all()) for k in range(len(pieces))]
+    closed = [bool((solidify.closed_piece(mesh.part(k)) >= 0).all()) for k in range(len(pieces))]
     assert closed == [True, False, False, True, True]
     wanted = np.repeat(closed, [len(piece.faces) for piece in pieces])
-    assert np.array_equal(solidify.closed(mesh), wanted)
+    assert np.array_equal(solidify.closed_piece(mesh) >= 0, wanted)
 
 
 def test_a_plate_thinner_than_the_probes_keeps_its_winding():
@@ -128,7 +128,8 @@ def test_a_wall_closes_the_rim_and_no_inner_edge():
     mesh = labelled(sheet())
     where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, seen, _ = solidify.solidified(mesh, where, free, shown, 0.01)
+    closed = np.zeros(len(mesh.faces), bool)
+    solid, seen, _ = solidify.solidified(mesh, where, free, shown, 0.01, closed)
     assert len(solid.faces) == 2 * 2 + 4 * 2
     assert seen.all()
     closed = trimesh.Trimesh(solid.vertices, solid.faces)
@@ -187,7 +188,8 @@ def test_a_bent_sheet_becomes_one_watertight_solid_of_its_thickness():
     mesh = labelled(strip)
     where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    solid, *_ = solidify.solidified(mesh, where, free, shown, 0.01)
+    closed = np.zeros(len(mesh.faces), bool)
+    solid, *_ = solidify.solidified(mesh, where, free, shown, 0.01, closed)
     together = trimesh.Trimesh(solid.vertices, solid.faces)
     together.merge_vertices(digits_vertex=9)
     trimesh.repair.fix_winding(together)

@@ -200,8 +200,7 @@ class _Found:
     def _gain(self, grown: _Grown, among: slice = _ALL) -> float:
         """Return how many pairs of a point and a pose it explains that nothing yet does, less those
         where it is wrong of its own points; of the movers `among` which it was asked."""
-        kind = JointKind.REVOLUTE if grown.joint.turns else JointKind.PRISMATIC
-        known = self.directions.get(kind)
+        known = self.directions.get(grown.joint.kind)
         if known is not None and np.abs(known @ grown.joint.axis).max() <= LEAN:
             return -1.0
         movers = grown.follow & self.left[among]
@@ -279,10 +278,8 @@ class _Found:
         if len(core) < 12:
             return replace(grown, polished=True)
         tried = [grown, self._revoted(grown.joint, core, tilts=True)]
-        nearest = int(np.abs(grown.joint.axis).argmax())
-        if not grown.joint.turns or np.abs(grown.joint.axis[nearest]) > _BESIDE:
-            axis = np.eye(3)[nearest] * np.sign(grown.joint.axis[nearest])
-            tried.append(self._revoted(replace(grown.joint, axis=axis), core, tilts=False))
+        if not grown.joint.turns or np.abs(grown.joint.axis).max() > _BESIDE:
+            tried.append(self._revoted(grown.joint.snapped(), core, tilts=False))
         gains = [self._gain(joint) * (1.0, 1.0, _PLAIN)[n] for n, joint in enumerate(tried)]
         return replace(tried[int(np.argmax(gains))], polished=True)
 
@@ -343,12 +340,10 @@ class _Found:
                 joint = fitted(joint, part, poses, reach * near, 8, tilts=tilts)
             return joint, int(poses.met(part, motions(joint), near).sum())
 
-        nearest = int(np.abs(joint.axis).argmax())
-        plain = np.eye(3)[nearest] * np.sign(joint.axis[nearest])
         as_it_is, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
         if joint.turns:
             return as_it_is
-        snapped, as_many = refit(replace(joint, axis=plain), tilts=False)
+        snapped, as_many = refit(joint.snapped(), tilts=False)
         return snapped if as_many * _PLAIN >= hits else as_it_is
 
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
@@ -442,7 +437,7 @@ def _joint(diff: Change, joint: Candidate, part: Surface) -> FoundJoint:
     if joint.turns:
         pivot = joint.pivot + ((middle - joint.pivot) @ joint.axis) * joint.axis
     return FoundJoint(
-        kind=JointKind.REVOLUTE if joint.turns else JointKind.PRISMATIC,
+        kind=joint.kind,
         axis=sign * joint.axis,
         pivot=diff.frame.to_world(pivot),
         states=sign * states * (1.0 if joint.turns else diff.frame.scale),

@@ -1,14 +1,14 @@
 """Candidates for joints: a patch of points that have left pose 0 is turned about every axis of a
 grid, and slid along every direction of a fan, and what lands on something new is counted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.geometry import cross, fibonacci_sphere
-from articugen.core.records import Floats
+from articugen.core.records import Floats, JointKind
 from articugen.discovery import kernels
 from articugen.discovery.clouds import Change
 
@@ -35,6 +35,15 @@ class Candidate:
     axis: Floats
     pivot: Floats
     states: Floats
+
+    @property
+    def kind(self) -> JointKind:
+        return JointKind.REVOLUTE if self.turns else JointKind.PRISMATIC
+
+    def snapped(self) -> "Candidate":
+        """Return it with the coordinate axis nearest to its own."""
+        nearest = int(np.abs(self.axis).argmax())
+        return replace(self, axis=np.eye(3)[nearest] * np.sign(self.axis[nearest]))
 
 
 _fan = fibonacci_sphere(2 * _FAN)

@@ -8,7 +8,15 @@
 from articugen.fusion.collision import Colliding, too_deep
 from articugen.fusion.distance import distances
 from articugen.fusion.ends import own_ends, posed_ends
-from articugen.fusion.field import FusedField, OwnSolid, PosedFields, PosedSolids, fuse, pixel_width
+from articugen.fusion.field import (
+    SOLIDS,
+    FusedField,
+    OwnSolid,
+    PosedFields,
+    PosedSolids,
+    fuse,
+    pixel_width,
+)
 from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
 from articugen.fusion.solidify import closed_piece, face_areas, face_normals, origins, welded
@@ -17,6 +25,7 @@ from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh
 
 __all__ = [
+    "SOLIDS",
     "Bvh",
     "Colliding",
     "FusedField",

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
 from articugen.core.geometry import invert_rigid
-from articugen.core.jit import helper, kernel
+from articugen.core.jit import cross, dot, helper, kernel, minus
 from articugen.meshes.bvh import Bvh
 
 
@@ -72,14 +72,11 @@ def _to_triangle(q, triangles, f):
     a = (float(triangles[f, 4]), float(triangles[f, 5]), float(triangles[f, 6]))
     b = (float(triangles[f, 7]), float(triangles[f, 8]), float(triangles[f, 9]))
     c = (float(triangles[f, 10]), float(triangles[f, 11]), float(triangles[f, 12]))
-    nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-    ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-    nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    normal = (nx, ny, nz)
-    square = nx * nx + ny * ny + nz * nz
+    normal = cross(minus(b, a), minus(c, a))
+    square = dot(normal, normal)
     over = square > 0.0 and _on_inner_side(q, a, b, normal)
     if over and _on_inner_side(q, b, c, normal) and _on_inner_side(q, c, a, normal):
-        height = (q[0] - a[0]) * nx + (q[1] - a[1]) * ny + (q[2] - a[2]) * nz
+        height = dot(minus(q, a), normal)
         return height * height / square
     return min(_to_segment(q, a, b), _to_segment(q, b, c), _to_segment(q, c, a))
 
@@ -88,19 +85,15 @@ def _to_triangle(q, triangles, f):
 def _on_inner_side(q, a, b, normal):
     """Return whether `q`, dropped on the triangle's plane, lies on the inner side of its edge a,
     b."""
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    qx, qy, qz = q[0] - a[0], q[1] - a[1], q[2] - a[2]
-    x, y, z = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
-    return x * normal[0] + y * normal[1] + z * normal[2] >= 0.0
+    return dot(cross(minus(b, a), minus(q, a)), normal) >= 0.0
 
 
 @helper
 def _to_segment(q, a, b):
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    qx, qy, qz = q[0] - a[0], q[1] - a[1], q[2] - a[2]
-    length = ex * ex + ey * ey + ez * ez
+    e, p = minus(b, a), minus(q, a)
+    length = dot(e, e)
     share = 0.0
     if length > 0.0:
-        share = min(max((qx * ex + qy * ey + qz * ez) / length, 0.0), 1.0)
-    x, y, z = qx - share * ex, qy - share * ey, qz - share * ez
-    return x * x + y * y + z * z
+        share = min(max(dot(p, e) / length, 0.0), 1.0)
+    off = minus(p, (share * e[0], share * e[1], share * e[2]))
+    return dot(off, off)

@@ -39,6 +39,10 @@ from articugen.meshes.bvh import Bvh, tree_of, triangle_table
 _NO_DEPTH = np.zeros((1, 0, 0), np.float32)
 _NO_FACES = np.zeros((1, 0, 0), np.int32)
 
+SOLIDS = ("material", "visible")
+"""What a mesh of a whole object is of: the parts' material, or that and the space that no view
+sees."""
+
 GLANCES = 5
 """Number of views that see most of what is free: they look from all around, see
 `views.spread_order`."""
@@ -96,7 +100,7 @@ class FusedField:
         which = np.arange(len(points)) if which is None else which
         flat = np.ascontiguousarray(points, np.float32)
         every = len(self.maps.views)
-        return kernels.is_free(flat, which, self._scene, 0, min(views or every, every))
+        return kernels.is_free(flat, which, self._scene, min(views or every, every))
 
     def value(self, points: NDArray[np.floating]) -> Floats:
         """Return the field at `points` (n, 3): (n,) in [-truncation, truncation], negative inside.
@@ -248,6 +252,10 @@ class PosedFields:
     @property
     def part_motion(self) -> Floats:
         return self.material.part_motion
+
+    def solid(self, of: str) -> FusedField | PosedSolids:
+        """Return the field of one of `SOLIDS`."""
+        return self.material if of == "material" else self.whole
 
     def labels(self, points: NDArray[np.floating]) -> Bytes:
         """Return (n,) FREE, k + 1 in the material of part k, ENCLOSED where no view sees free what

@@ -51,9 +51,9 @@ class Scene(NamedTuple):
 
 
 @kernel
-def is_free(points, which, scene, first_view, end_view):
-    """Return (m,) which of points[which] at least one view from `first_view` on, and before
-    `end_view`, sees free; a point is done with at the first.
+def is_free(points, which, scene, end_view):
+    """Return (m,) which of points[which] at least one view before `end_view` sees free; a point is
+    done with at the first.
 
     View by view over the points that are left, which stay packed: a view's map stays in the cache.
     A block is projected, then the faces around its points are read, then judged: three short loops,
@@ -74,7 +74,7 @@ def is_free(points, which, scene, first_view, end_view):
     triangles, bvh, to_part = scene.triangles, scene.bvh, scene.to_part
     thin = scene.thin
     pinhole, pixel, by_depth = scene.pinhole, scene.pixel, scene.face.shape[1] == 0
-    for k in range(first_view, end_view):
+    for k in range(end_view):
         camera = _camera(k, scene)
         face_map, depth_map = _maps(k, scene)
         kept = 0
@@ -265,11 +265,6 @@ def _project(x, y, z, camera, pinhole, u, v, depth):
         depth[n] = ahead
 
 
-@inlined
-def _outside(u, v, image):
-    return not (u >= 0.0 and v >= 0.0 and u < image.shape[1] - 1 and v < image.shape[0] - 1)
-
-
 @helper
 def _read_around(u, v, count, face_map, at, around):
     """Return the faces at the four pixels around each (u, v); -1 outside the image."""
@@ -330,7 +325,8 @@ def _gap_by_depth(u, v, z, depth_map, pixel):
 
     One smooth surface is interpolated; across a silhouette the four must agree: else nan, no say.
     """
-    if _outside(u, v, depth_map):
+    height, width = depth_map.shape
+    if not (u >= 0.0 and v >= 0.0 and u < width - 1 and v < height - 1):
         return UNSEEN
     i, j = np.int64(v), np.int64(u)
     a, b = u - np.float32(j), v - np.float32(i)

@@ -89,27 +89,24 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
 
 def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
     """Return the own solid of `part` by maps of it alone, rendered if it was not judged by such."""
-    field = part.judged_by
-    if field is None:
-        maps = render(part.mesh, part.box)
-        field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
-    thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
-    alone = flooded(replace(field, thin=thin), part.mesh)
-    return own_solid(alone, part.box, part.pieces)
+    field = part.judged_by or _fused(render(part.mesh, part.box), part, settings)
+    return _own(part, field, field)
 
 
 def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
     """Return the own solid of `part` by `maps` of it alone."""
-    field = fuse(
-        maps,
-        part.mesh,
-        settings,
-        bvh=part.tree,
-        part_motion=np.eye(4)[None],
-        thin=thin_voxels(part.mesh, pixel_width(maps.views), part.tree),
-    )
-    judged = part.judged_by or field
-    alone = replace(field, flood=flooded(judged, part.mesh).flood)
+    field = _fused(maps, part, settings)
+    return _own(part, field, part.judged_by or field)
+
+
+def _fused(maps: DepthMaps, part: SolidPart, settings: Fusion) -> FusedField:
+    return fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
+
+
+def _own(part: SolidPart, field: FusedField, judged: FusedField) -> OwnSolid:
+    """Return the own solid of `part` by a field of it alone, flooded as `judged` is."""
+    thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
+    alone = replace(field, thin=thin, flood=flooded(judged, part.mesh).flood)
     return own_solid(alone, part.box, part.pieces)
 
 

@@ -180,7 +180,7 @@ def solidified(
     free: Bools,
     shown: Indices,
     thickness: float,
-    solid: Bools | None = None,
+    solid: Bools,
 ) -> tuple[LabelledMesh, Bools, Indices]:
     """Return the mesh with its sheets thickened and its faces turned outwards.
 
@@ -190,7 +190,7 @@ def solidified(
         shown: (2, F) how many pixels show each face from either side: a large face may be seen
             between its probes only.
         thickness: given to sheets, half on each side.
-        solid: (F,) which faces are `closed`, where that is known.
+        solid: (F,) which faces are those of closed pieces, see `closed_piece`.
 
     Returns:
         The mesh, and for each of its faces whether it can be seen at all, and which it was.
@@ -200,7 +200,6 @@ def solidified(
              for w in (free[0], free[1], free[0] & free[1])]  # fmt: skip
     share = [of_face[where.speaker] for of_face in share]
     # a closed piece's winding can be trusted, nobody sees its backs, and what has depth is no sheet
-    solid = closed(mesh) if solid is None else solid
     sheet = (share[2] >= SHEET_SHARE) & ~(solid & (share[1] < 1.0))
     if thickness <= 0.0:
         sheet[:] = False
@@ -345,11 +344,6 @@ def _settle(parent, side, c):
         turn *= side_here
         c = onward
     return root
-
-
-def closed(mesh: LabelledMesh) -> Bools:
-    """Return (F,) which faces belong to a closed piece, see `closed_piece`."""
-    return closed_piece(mesh) >= 0
 
 
 def closed_piece(mesh: LabelledMesh) -> Ints:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Ints
-from articugen.core.jit import helper, inlined, kernel
+from articugen.core.jit import cross, dot, helper, inlined, kernel, minus
 from articugen.core.records import LabelledMesh
 from articugen.fusion.solidify import face_normals
 from articugen.meshes.bvh import Bvh, _enters, _inverse, ordered, tree_of
@@ -247,18 +247,13 @@ def _crossing(p, w, plane, a, b, c):
     The volumes that the ray spans with each edge, in double precision, over the edge's length are
     how far it passes from the edge, or less.
     """
-    ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
-    bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
-    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-    ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
-    bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
-    ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
-    size = abs(ax - bx) + abs(ay - by) + abs(az - bz) + abs(cx - bx) + abs(cy - by) + abs(cz - bz)
-    clear = _CLEAR * size
+    a, b, c = minus(a, p), minus(b, p), minus(c, p)
+    ab, bc, ca = dot(w, cross(a, b)), dot(w, cross(b, c)), dot(w, cross(c, a))
+    u, v = minus(a, b), minus(c, b)
+    clear = _CLEAR * (abs(u[0]) + abs(u[1]) + abs(u[2]) + abs(v[0]) + abs(v[1]) + abs(v[2]))
     if (ab < -clear or bc < -clear or ca < -clear) and (ab > clear or bc > clear or ca > clear):
         return 0
-    gap = plane[0] * ax + plane[1] * ay + plane[2] * az  # to the plane along its normal
-    slope = plane[0] * w[0] + plane[1] * w[1] + plane[2] * w[2]
+    gap, slope = dot(plane, a), dot(plane, w)  # to the plane along its normal; how fast it nears
     if abs(gap) > _CLEAR and gap * slope < 0.0:
         return 0  # behind the start
     if abs(gap) <= _CLEAR or min(abs(ab), abs(bc), abs(ca)) <= clear:

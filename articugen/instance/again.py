@@ -10,7 +10,7 @@ from articugen.core.files import check_place
 from articugen.core.geometry import apply
 from articugen.core.recipe import Recipe
 from articugen.core.records import ArticulatedObject, Mesh, ResolvedObject
-from articugen.fusion import PosedSolids
+from articugen.fusion import SOLIDS, PosedSolids
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
@@ -20,7 +20,7 @@ from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
 from articugen.store.manifest import Manifest
 
-OF = ("material", "visible", "part")
+OF = (*SOLIDS, "part")
 """What a mesh may be of."""
 
 
@@ -95,9 +95,7 @@ def write_meshes(
             for k, mesh in enumerate(alone)
         }
     else:
-        _, fields = pose(prepared, state_index)
-        solid = fields.material if of == "material" else fields.whole
-        meshes = {path: extract_mesh(solid, resolution)}
+        meshes = {path: extract_mesh(pose(prepared, state_index)[1].solid(of), resolution)}
     for place, mesh in meshes.items():
         export(mesh, place)
     return {place: len(mesh.faces) for place, mesh in meshes.items()}

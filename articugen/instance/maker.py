@@ -232,10 +232,9 @@ class Made(Row):
                 f"a mesh of {resolution!r} voxels along an edge; give a number from 8 to "
                 f"{MOST_VOXELS:,}"
             )
-        if of not in ("material", "visible"):
+        if of not in fusion.SOLIDS:
             raise InvalidArgument(f"a mesh of {of!r}; it is of the material, or what is visible")
-        fields = self._posed[1]
-        mesh = extract_mesh(fields.material if of == "material" else fields.whole, resolution)
+        mesh = extract_mesh(self._posed[1].solid(of), resolution)
         return MadeMesh(mesh.vertices, mesh.faces)
 
     def _arrays(self, names: Sequence[str]) -> list[Any]:
