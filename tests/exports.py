@@ -13,7 +13,7 @@ from ppd_data import write_boxes
 
 import articugen as ag
 from articugen.export.items import Options
-from articugen.export.parts import PartMeshes
+from articugen.export.parts import part_meshes
 
 MESHES = {"from_grids": True}
 
@@ -78,5 +78,5 @@ def state_in_metres(row: ag.Row) -> list[float]:
 
 def canonical_meshes(data: ag.DataSet, row: ag.Row) -> list[np.ndarray]:
     """The vertices of each part in metres, canonical pose."""
-    meshes = PartMeshes(data, Options(from_grids=True)).of(data.of(row.object_id))
+    meshes = part_meshes(data.of(row.object_id), Options(from_grids=True))
     return [row.to_metres(mesh.vertices) for mesh in meshes]

@@ -28,7 +28,7 @@ from articugen.core.geometry import (
 )
 from articugen.core.records import is_material
 from articugen.export.items import Options
-from articugen.export.parts import PartMeshes, part_boxes
+from articugen.export.parts import part_boxes, part_meshes
 from articugen.meshes.points import numbers_of_file
 
 boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
@@ -43,7 +43,7 @@ def drawers(tmp_path_factory: pytest.TempPathFactory) -> ag.DataSet:
 @pytest.fixture(scope="module")
 def solids(drawers: ag.DataSet) -> np.ndarray:
     """(P, 2, 3) boxes of the solids of its parts, canonical pose."""
-    meshes = PartMeshes(drawers, Options(resolution=64)).of(drawers)
+    meshes = part_meshes(drawers, Options(resolution=64))
     return np.stack([bounds(mesh.vertices) for mesh in meshes])
 
 

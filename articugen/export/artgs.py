@@ -6,19 +6,16 @@ in an object's folder: ArtGS <end>/<views>/{rgba,depth}/ and transforms_*.json, 
 and <end>/camera_*.json, both the truth in gt/trans.json.
 """
 
-import io
-import json
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from articugen.core.arrays import Floats
 from articugen.core.geometry import invert_rigid
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.target import Target
+from articugen.pictures.layout import png
 from articugen.store.rows import Row
 
 _TEST = 8
@@ -50,36 +47,36 @@ def _write(item: Item, target: Target) -> None:
         for word, _, row in ends:
             _write_images(row, f"{folder}/{word}/{views}", cameras, views != "val", target)
             fx, fy, cx, cy = row.images.intrinsics[0].tolist()
-            poses = (_to_world(row.images.T_camera_world[k]).tolist() for k in cameras)
-            named = {f"{number:04d}": pose for number, pose in enumerate(poses)}
+            named = {f"{n:04d}": one["transform_matrix"] for n, one in enumerate(frames[word])}
             K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
-            _write_json(f"{folder}/{word}/camera_{views}.json", {"K": K, **named}, target)
+            target.write_json(f"{folder}/{word}/camera_{views}.json", {"K": K, **named})
             if views != "val":
                 some = {**_angles(row), "frames": frames[word]}
-                _write_json(f"{folder}/transforms_{views}_{word}.json", some, target)
+                target.write_json(f"{folder}/transforms_{views}_{word}.json", some)
         if views != "val":
             both = {**_angles(start), "frames": frames["start"] + frames["end"]}
-            _write_json(f"{folder}/transforms_{views}.json", both, target)
-    _write_json(f"{folder}/gt/trans.json", _truth(start, end), target)
+            target.write_json(f"{folder}/transforms_{views}.json", both)
+    target.write_json(f"{folder}/gt/trans.json", _truth(start, end))
 
 
 def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Target) -> None:
     """Number the images of these cameras from 0 on; ArtGS's, which have depths, in `rgba`, too."""
     for number, k in enumerate(cameras):
-        rgba = _png(row.images.rgba[k])
+        rgba = png(Image.fromarray(row.images.rgba[k]))
         target.write(f"{folder}/{number:04d}.png", rgba)
         if depth:
             thousandths = np.round(_MILLI * row.images.depth[k]).astype(np.uint16)
             target.write(f"{folder}/rgba/{number:04d}.png", rgba)
-            target.write(f"{folder}/depth/{number:04d}.png", _png(thousandths))
+            target.write(f"{folder}/depth/{number:04d}.png", png(Image.fromarray(thousandths)))
 
 
 def _frames(row: Row, folder: str, time: float, cameras: list[int]) -> list[dict[str, Any]]:
+    """Name images, and where their cameras, which look along -z, y up, are in the unit frame."""
     return [
         {
             "file_path": f"{folder}/rgba/{number:04d}.png",
             "time": time,
-            "transform_matrix": _to_world(row.images.T_camera_world[k]).tolist(),
+            "transform_matrix": (invert_rigid(row.images.T_camera_world[k]) @ _OPENGL).tolist(),
         }
         for number, k in enumerate(cameras)
     ]
@@ -104,21 +101,6 @@ def _truth(start: Row, end: Row) -> dict[str, Any]:
         span = {"l": joint.state_unit * unit, "r": other.state_unit * unit}
         moved.append({"type": kind, "axis": axis, kind: span})
     return {"trans_info": moved[0] if len(moved) == 1 else moved}
-
-
-def _write_json(name: str, value: dict[str, Any], target: Target) -> None:
-    target.write(name, json.dumps(value, indent=1).encode() + b"\n")
-
-
-def _to_world(T_camera_world: Floats) -> Floats:
-    """Return (4, 4) from a camera that looks along -z, y up, to the unit frame."""
-    return invert_rigid(T_camera_world) @ _OPENGL
-
-
-def _png(image: NDArray) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return file.getvalue()
 
 
 FORMAT = Format(

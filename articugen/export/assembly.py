@@ -13,7 +13,7 @@ import trimesh
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.parts import MetricJoint, in_metres, metric_joints, part_names
+from articugen.export.parts import MetricJoint, metric_joints, part_meshes, part_names
 from articugen.export.target import Target
 from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.model_text import obj_text
@@ -63,7 +63,7 @@ class Body:
     Attributes:
         name: none is there twice.
         place: (3,) where its frame stands in the model's own, canonical pose, metres.
-        mesh: watertight, in its frame.
+        unit_mesh, mesh: watertight, in the unit frame, and in its own.
         hulls: convex meshes that together fill about the same space; () unless asked for.
         inertia: of the mesh, filled with DENSITY, in its frame.
         joint: what it moves by; None of part 0.
@@ -71,6 +71,7 @@ class Body:
 
     name: str
     place: Floats
+    unit_mesh: Mesh
     mesh: Mesh
     hulls: tuple[Mesh, ...]
     inertia: Inertia
@@ -83,12 +84,12 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
     joints, names = metric_joints(row), part_names(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
     built = []
-    for part, unit_mesh in enumerate(target.meshes.of(item.rows)):
-        placed = in_metres(unit_mesh, row)
-        mesh = Mesh(placed.vertices - at[part], placed.faces)
+    for part, unit_mesh in enumerate(part_meshes(item.rows, target.options)):
+        mesh = Mesh(row.to_metres(unit_mesh.vertices) - at[part], unit_mesh.faces)
         joint = joints[part - 1] if part else None
         hulls = convex_pieces(mesh) if target.options.collision else ()
-        built.append(Body(names[part], at[part], mesh, hulls, inertia(mesh, DENSITY), joint))
+        solid = inertia(mesh, DENSITY)
+        built.append(Body(names[part], at[part], unit_mesh, mesh, hulls, solid, joint))
     if target.options.collision:
         lines = []
         for body in built:

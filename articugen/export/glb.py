@@ -8,7 +8,7 @@ import numpy as np
 from articugen.core.colours import colour_of
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
-from articugen.export.parts import in_metres, metric_joints
+from articugen.export.parts import metric_joints, part_meshes
 from articugen.export.target import Target
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.pictures.shading import linear
@@ -18,12 +18,12 @@ def _write(item: Item, target: Target) -> None:
     row = canonical(item.rows)
     moving = {j.part: j for j in metric_joints(row)}
     parts = []
-    for k, in_unit in enumerate(target.meshes.of(item.rows)):
-        mesh, joint = in_metres(in_unit, row), moving.get(k)
+    for k, mesh in enumerate(part_meshes(item.rows, target.options)):
+        vertices, joint = row.to_metres(mesh.vertices), moving.get(k)
         name = joint.name if joint else row.parts[0].name or "part_0"
         how = joint and Moving(joint.name, joint.kind, joint.axis, joint.lower, joint.upper)
         hangs = (joint.parent, joint.pivot) if joint else (0, np.zeros(3))
-        parts.append(Part(name, *hangs, mesh.vertices, mesh.faces, linear(colour_of(k)), how))
+        parts.append(Part(name, *hangs, vertices, mesh.faces, linear(colour_of(k)), how))
     about = {"category": row.category, "object_id": row.object_id}
     target.write(f"{item.key}.glb", glb_of(item.key.rpartition("/")[2], parts, about))
 

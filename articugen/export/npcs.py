@@ -93,14 +93,14 @@ def _finish(data: DataSet, target: Target) -> None:
     corners: dict[str, list[list[Floats]]] = {}
     category = file_name(data.category)
     files: dict[str, list[str]] = {split: [] for split in data.splits}
-    for name, rows in data.by_object():
-        if target.done[f"{rows[0].split}/{file_name(name)}"].left_out:
+    for item in of_objects(data):
+        if target.done[item.key].left_out:
             continue
-        files[rows[0].split] += [file for row in rows for file in _files(row)]
-        parts = part_boxes(rows)
+        files[item.rows[0].split] += [file for row in item.rows for file in _files(row)]
+        parts, name = part_boxes(item.rows), file_name(item.rows[0].object_id)
         boxes = [bounds(parts.reshape(-1, 3)), *parts]  # the whole object's first
-        factors[file_name(name)] = [1.0 / float(np.linalg.norm(b[1] - b[0])) for b in boxes]
-        corners[file_name(name)] = [[b[0][None], b[1][None]] for b in boxes]
+        factors[name] = [1.0 / float(np.linalg.norm(b[1] - b[0])) for b in boxes]
+        corners[name] = [[b[0][None], b[1][None]] for b in boxes]
     target.write(f"pickle/{category}.pkl", pickle.dumps(factors))
     target.write(f"pickle/{category}_corners.pkl", pickle.dumps(corners))
     for split, names in files.items():

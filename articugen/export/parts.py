@@ -23,62 +23,45 @@ from articugen.store.rows import Row
 _WITHIN = 1e-4  # of the surface that was extracted, unit frame: finer than that is exact
 
 
-class PartMeshes:
-    """Meshes of one object after the other; those of the last one are kept."""
+def part_meshes(rows: DataSet, options: Options) -> tuple[Mesh, ...]:
+    """Make the mesh of each part of the rows' object, part 0 first.
 
-    def __init__(self, data: DataSet, options: Options) -> None:
-        self._data, self._options = data, options
-        self._last: tuple[str, tuple[Mesh, ...]] = ("", ())
+    Raises:
+        LeftOut: a part has no voxel; or the canonical pose is not there.
+        ArticugenError: the model cannot be made again; see `again.prepared_again`.
+    """
+    if options.from_grids:
+        return _from_grid(canonical(rows))
+    from articugen.instance import again  # noqa: PLC0415 - the stages take a second
 
-    def of(self, rows: DataSet) -> tuple[Mesh, ...]:
-        """Make the mesh of each part of the rows' object, part 0 first.
+    object_id = rows[0].object_id
+    try:
+        if rows.manifest is None:
+            raise ArticugenError(f"{rows.path}: has no manifest, so its models cannot be found")
+        prepared = again.prepared_again(rows.manifest, object_id)
+    except ArticugenError as error:
+        raise ArticugenError(
+            f"{error}; or take the parts from the stored grids, with --from-grids"
+        ) from error
+    try:
+        meshes = again.part_meshes(prepared, options.resolution)
+        return tuple(simpler(mesh, _WITHIN) for mesh in meshes)
+    except RejectedInstance as error:
+        raise LeftOut(f"{object_id}: {error}") from error
 
-        Raises:
-            LeftOut: a part has no voxel; or the canonical pose is not there.
-            ArticugenError: the model cannot be made again; see `again.prepared_again`.
-        """
-        row = rows[0]
-        if self._last[0] != row.object_id:
-            meshes = (
-                self._from_grid(canonical(rows)) if self._options.from_grids else self._made(row)
-            )
-            self._last = (row.object_id, meshes)
-        return self._last[1]
 
-    def _made(self, row: Row) -> tuple[Mesh, ...]:
-        from articugen.instance import again  # noqa: PLC0415 - the stages take a second
-
-        manifest = self._data.manifest
-        try:
-            if manifest is None:
-                raise ArticugenError(
-                    f"{self._data.path}: has no manifest, so its models cannot be found"
-                )
-            prepared = again.prepared_again(manifest, row.object_id)
-        except ArticugenError as error:
-            raise ArticugenError(
-                f"{error}; or take the parts from the stored grids, with --from-grids"
-            ) from error
-        try:
-            meshes = again.part_meshes(prepared, self._options.resolution)
-            return tuple(simpler(mesh, _WITHIN) for mesh in meshes)
-        except RejectedInstance as error:
-            raise LeftOut(f"{row.object_id}: {error}") from error
-
-    def _from_grid(self, row: Row) -> tuple[Mesh, ...]:
-        if not row.grids:
-            raise LeftOut(f"{row.object_id}: no occupancy grid is stored")
-        resolution = max(row.grids)
-        label = row.grids[resolution]
-        meshes = []
-        for part in range(len(row.parts)):
-            inside = label == part + 1
-            if not inside.any():
-                raise LeftOut(
-                    f"{row.object_id}: part {part} has no voxel in the {resolution}^3 grid"
-                )
-            meshes.append(zero_level(np.where(inside, 1.0, -1.0)))
-        return tuple(meshes)
+def _from_grid(row: Row) -> tuple[Mesh, ...]:
+    if not row.grids:
+        raise LeftOut(f"{row.object_id}: no occupancy grid is stored")
+    resolution = max(row.grids)
+    label = row.grids[resolution]
+    meshes = []
+    for part in range(len(row.parts)):
+        inside = label == part + 1
+        if not inside.any():
+            raise LeftOut(f"{row.object_id}: part {part} has no voxel in the {resolution}^3 grid")
+        meshes.append(zero_level(np.where(inside, 1.0, -1.0)))
+    return tuple(meshes)
 
 
 def part_boxes(rows: DataSet) -> Floats:
@@ -106,11 +89,6 @@ def part_boxes(rows: DataSet) -> Floats:
             "unknown; leave the object out of the data"
         )
     return boxes
-
-
-def in_metres(mesh: Mesh, row: Row) -> Mesh:
-    """Return a mesh of the unit frame in the model's own frame, metres."""
-    return Mesh(row.to_metres(mesh.vertices), mesh.faces)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from articugen.core.geometry import apply, voxel_centres
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.labels import grid, need, part_values
+from articugen.export.parts import part_meshes
 from articugen.export.target import Target
 from articugen.meshes.model_text import obj_text
 from articugen.store.dataset import DataSet
@@ -27,7 +28,7 @@ _TAIL = "sample_wise_normalize"
 
 def _write(item: Item, target: Target) -> None:
     _check(canonical(item.rows))
-    meshes = target.meshes.of(item.rows)
+    meshes = part_meshes(item.rows, target.options)
     for row in item.rows:
         folder = f"data/sample/{_pose(row)}"
         for resolution in _RESOLUTIONS:
@@ -79,9 +80,9 @@ def _pose(row: Row) -> str:
 
 def _finish(data: DataSet, target: Target) -> None:
     written: dict[str, list[list[str]]] = {split: [] for split in data.splits}
-    for name, rows in data.by_object():
-        if not target.done[f"{rows[0].split}/{file_name(name)}"].left_out:
-            written[rows[0].split].append([_pose(row) for row in rows])
+    for item in of_objects(data):
+        if not target.done[item.key].left_out:
+            written[item.rows[0].split].append([_pose(row) for row in item.rows])
     train = written.get("train", [])
     written.setdefault("val", train[: -(-len(train) // 10)])  # a part of train, as theirs is
     lists = {split: list(chain(*objects)) for split, objects in written.items()}

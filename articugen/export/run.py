@@ -13,7 +13,6 @@ from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.files import sha256_of
 from articugen.export.formats import format_named, options_for
 from articugen.export.items import Item, LeftOut, file_name, instance_name
-from articugen.export.parts import PartMeshes
 from articugen.export.target import Target
 from articugen.store import croissant
 from articugen.store.dataset import DataSet
@@ -81,7 +80,7 @@ def export(
     if not len(chosen):
         raise InvalidArgument(f"{whole.path}: there are no instances to export")
     about = {"format": to, "data": _digest(chosen), "category": chosen.category}
-    target = Target(Path(out), about, options, PartMeshes(whole, options))
+    target = Target(Path(out), about, options)
     try:
         if not target.complete:
             _write(chosen, to, target, on_item)

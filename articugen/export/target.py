@@ -30,7 +30,6 @@ from articugen.core.files import (
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
 from articugen.export.items import Options
-from articugen.export.parts import PartMeshes
 
 REPORT_NAME = "export.json"
 _MOST_BYTES = 1 << 30
@@ -81,13 +80,10 @@ class Target:
     Attributes:
         folder: where it is.
         options: what was chosen.
-        meshes: the parts of the objects.
         done: by the item's key.
     """
 
-    def __init__(
-        self, folder: Path, about: Mapping[str, Any], options: Options, meshes: PartMeshes
-    ) -> None:
+    def __init__(self, folder: Path, about: Mapping[str, Any], options: Options) -> None:
         """Take the folder, which may hold a part of the same export.
 
         Args:
@@ -97,7 +93,7 @@ class Target:
             ArticugenError: it holds something else, or another process exports into it.
             MachineFault: it cannot be written to.
         """
-        self.folder, self.options, self.meshes = folder, options, meshes
+        self.folder, self.options = folder, options
         self.done: dict[str, Done] = {}
         self.complete = False
         self._about = {**about, "options": asdict(options)}
@@ -192,6 +188,10 @@ class Target:
     def write_arrays(self, name: str, arrays: Mapping[str, ArrayLike]) -> None:
         """Write an .npz of arrays, the same bytes for the same arrays."""
         self.write(name, npz(arrays))
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Write a JSON file, indented."""
+        self.write(name, json.dumps(value, indent=1).encode() + b"\n")
 
     def write_lines(self, name: str, lines: Iterable[str]) -> None:
         """Write a text file of lines."""

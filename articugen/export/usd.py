@@ -5,7 +5,6 @@ wants them, posed canonically; they collide where convex meshes are asked for.
 """
 
 import tempfile
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,8 @@ from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
 from articugen.export.target import Target
 from articugen.pictures.layout import png
-from articugen.pictures.portrait import AZIMUTHS, solid_portrait, tile_camera
-from articugen.pictures.shading import Picture, linear
-from articugen.pictures.solids import ColouredMesh
+from articugen.pictures.portrait import parts_portrait
+from articugen.pictures.shading import linear
 from articugen.store.dataset import DataSet
 
 _QCODES = {
@@ -43,10 +41,13 @@ def _write(item: Item, target: Target) -> None:
     file = f"{name}.usdc"  # alone in a folder of the object's own: SimReady's NP.005
     with tempfile.TemporaryDirectory() as aside:  # a stage has no other way to bytes
         path = Path(aside) / "object.usdc"
-        _fill(path, name, item, bodies(item, target))
+        parts = bodies(item, target)
+        _fill(path, name, item, parts)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-        drawn = _thumbnail(target.meshes.of(item.rows))
-        target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(drawn))
+    faces = [body.unit_mesh.triangles for body in parts]
+    group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
+    drawn = parts_portrait(np.concatenate(faces), group, 256)
+    target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(drawn))
 
 
 def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:
@@ -94,16 +95,6 @@ def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
         "asset_extents": Gf.Vec3f(*np.ptp(corners, axis=0).tolist()),
         "mass": sum(body.inertia.mass for body in parts),
     }
-
-
-def _thumbnail(meshes: Sequence[Mesh]) -> Picture:
-    """Draw the parts, in the unit frame, as portraits are."""
-    triangles = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
-    group = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
-    solid = ColouredMesh(triangles, group, [colour_of(part) for part in range(len(meshes))])
-    corners = triangles.reshape(-1, 3)
-    camera = tile_camera(corners, AZIMUTHS[0], size=256)
-    return solid_portrait(solid, camera, float(corners[:, 2].min()))
 
 
 def _add_label(prim: Any, kind: str, label: str) -> None:
@@ -175,7 +166,7 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     prim.CreatePointsAttr(points)
     prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
     across = np.cross(b - a, c - a)
     across[~across.any(axis=1)] = 0.0, 0.0, 1.0  # of a face without area
     flat = across / np.linalg.norm(across, axis=1, keepdims=True)

@@ -5,8 +5,6 @@ points and points on sharp edges, each with normals; points near the surface, th
 the cube, with signed distances, above 0 inside as its library has it; and those near edges.
 """
 
-import json
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,8 +74,7 @@ def _finish(data: DataSet, target: Target) -> None:
     lists.setdefault("val", train[: -(-len(train) // 10)])  # a part of train, while that runs
     for split, paths in lists.items():
         if paths:
-            text = json.dumps(paths, indent=1) + "\n"
-            target.write(f"{file_name(split)}.json", text.encode())
+            target.write_json(f"{file_name(split)}.json", paths)
 
 
 FORMAT = Format(

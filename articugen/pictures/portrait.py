@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from articugen.core.arrays import Floats
-from articugen.core.colours import PALETTE
+from articugen.core.arrays import Floats, Ints
+from articugen.core.colours import PALETTE, colour_of
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
@@ -155,12 +155,18 @@ def solid_portrait(
     return shaded(picture, camera, coarse, fine, floor)
 
 
+def parts_portrait(triangles: Floats, part: Ints, size: int) -> Picture:
+    """Draw the triangles (F, 3, 3) of one object, which fills a picture of `size` pixels, each in
+    the colour of its part (F,)."""
+    corners = triangles.reshape(-1, 3)
+    solid = ColouredMesh(triangles, part, [colour_of(k) for k in range(part.max() + 1)])
+    camera = tile_camera(corners, AZIMUTHS[0], size)
+    return solid_portrait(solid, camera, float(corners[:, 2].min()))
+
+
 def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Floats, Floats, Floats]:
-    return draw_solid(solid, _palette(solid.colours), camera)
-
-
-def _palette(colours: Sequence[str]) -> Floats:
-    return np.array([linear(colour) for colour in colours]).reshape(-1, 3)
+    colours = np.array([linear(colour) for colour in solid.colours]).reshape(-1, 3)
+    return draw_solid(solid, colours, camera)
 
 
 def nearer(

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from articugen.core.colours import colour_of
 from articugen.core.records import ArticulatedObject
 from articugen.core.tables import counted
 from articugen.inspection.check.model import FINDINGS, VERDICTS, Checked, Checks
@@ -10,8 +9,7 @@ from articugen.inspection.report.markup import Markup, card, el, hint, join, key
 from articugen.inspection.report.page import address, document
 from articugen.instance import articulation
 from articugen.instance.preparing import canonical_mesh
-from articugen.pictures.portrait import AZIMUTHS, solid_portrait, tile_camera
-from articugen.pictures.solids import ColouredMesh
+from articugen.pictures.portrait import parts_portrait
 
 PICTURE = 168  # pixels along an edge
 
@@ -23,10 +21,7 @@ def picture(obj: ArticulatedObject) -> str:
     corners = mesh.vertices[mesh.faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     triangles = (corners - (low + high) / 2.0) / (high - low).max()
-    colours = [colour_of(part) for part in range(obj.part_count)]
-    solid = ColouredMesh(triangles, mesh.part_of_face.astype(np.int64), colours)
-    camera = tile_camera(triangles.reshape(-1, 3), AZIMUTHS[0], PICTURE)
-    return address(solid_portrait(solid, camera, float(triangles[..., 2].min())))
+    return address(parts_portrait(triangles, mesh.part_of_face.astype(np.int64), PICTURE))
 
 
 def page(checks: Checks, title: str) -> str:
