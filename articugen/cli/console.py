@@ -106,18 +106,6 @@ def made_table(manifest: Manifest, folder: object) -> RenderableType:
     return Group(_title(manifest.category, folder), table)
 
 
-def share_table(outcomes: Sequence[Outcome]) -> RenderableType:
-    """Return what a rank leaves: how much of its share is made, and what is not and why."""
-    shards = [outcome.shard for outcome in outcomes if outcome.shard]
-    unmade = [[getattr(o, word) for o in outcomes] for word in ("failed", "rejected")]
-    table = facts()
-    table.add_row("objects", f"{len(shards)} made")
-    table.add_row("instances", f"{sum(shard.instances for shard in shards):,}")
-    table.add_row("size", size(sum(shard.bytes for shard in shards)))
-    _add_left_out(table, *(list(filter(None, some)) for some in unmade))
-    return table
-
-
 def left_out(folder: Path) -> RenderableType:
     """Return the objects that are not in a data set, and why; nothing where there is no manifest,
     and CorruptShard where it is damaged."""
@@ -212,8 +200,14 @@ def tell(manifest: Manifest, where: object) -> int:
 def tell_share(outcomes: Sequence[Outcome], job: Job) -> int:
     """Print what has become of a share, and what comes next, and return the exit status;
     ArticugenError where objects have failed."""
-    stdout.print(share_table(outcomes))
+    shards = [outcome.shard for outcome in outcomes if outcome.shard]
     failed = [outcome.failed for outcome in outcomes if outcome.failed]
+    table = facts()
+    table.add_row("objects", f"{len(shards)} made")
+    table.add_row("instances", f"{sum(shard.instances for shard in shards):,}")
+    table.add_row("size", size(sum(shard.bytes for shard in shards)))
+    _add_left_out(table, failed, [outcome.rejected for outcome in outcomes if outcome.rejected])
+    stdout.print(table)
     if failed:
         raise ArticugenError(
             f"{len(failed)} of {len(outcomes)} objects failed through no fault of theirs, and are "

@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from articugen.cli.options import DATA_SETS, argument, offered
-from articugen.cli.saying import FAILED, REJECTED, command, counting_bar, say, stderr, stdout
+from articugen.cli.options import DATA_SETS, JOBS, argument, offered
+from articugen.cli.saying import (
+    FAILED,
+    REJECTED,
+    command,
+    compile_for,
+    counting_bar,
+    say,
+    stderr,
+    stdout,
+)
 from articugen.core.tables import DIM, quiet_table, size
 from articugen.pipeline.options import option
 
@@ -49,9 +58,7 @@ def inspect(
     stdout.print(left_out(path))
     if image is None and html is None:
         return
-    from articugen.core.compiling import compile_kernels
-
-    compile_kernels("inspect", notice=stderr.print)
+    compile_for("inspect")
     counts = {"objects": objects, "states": states}
     chosen = {name: count for name, count in counts.items() if count is not None}
     if image is not None:
@@ -72,15 +79,13 @@ def inspect(
 def site(
     data: Path = argument("The folder of a data set, or a shard."),
     out: Path = option(MISSING, "A new folder, an empty one, or a former site.", "-o"),
-    jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
+    jobs: int | None = JOBS,
 ) -> None:
     """Write a folder of static pages that show all objects of a set, on any host or offline."""
-    from articugen.core.compiling import compile_kernels
     from articugen.core.processes import default_jobs
     from articugen.inspection.report.site import site as write
 
-    for kernels in ("generate", "inspect"):  # models are made again to measure the truth
-        compile_kernels(kernels, notice=stderr.print)
+    compile_for("generate", "inspect")  # models are made again to measure the truth
     with counting_bar() as count_shard:
         done = write(data, out, jobs=jobs or default_jobs(), on_shard=count_shard)
     say(f"{out / 'index.html'}: {done.objects:,} objects, {size(done.bytes)}")
@@ -94,13 +99,12 @@ def compare(
     json: bool = option(False, "Print numbers for other programs."),
 ) -> None:
     """Say how alike two sets of objects are: neighbours, proportions, parts, joints."""
-    from articugen.core.compiling import compile_kernels
     from articugen.inspection import likeness
     from articugen.pictures.layout import check_picture, save
 
     if image is not None:
         check_picture(image)
-    compile_kernels("inspect", notice=stderr.print)
+    compile_for("inspect")
     with stderr.status("comparing all objects ..."):
         alike = likeness.likeness(first, second)
         if image is not None:
@@ -129,10 +133,9 @@ def check(
     path: Path = argument("A mesh, URDF, MJCF or USD file, or a folder of them."),
     json: Path | None = option(None, "Write all numbers into this file."),
     html: Path | None = option(None, "Write a page with pictures."),
-    jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
+    jobs: int | None = JOBS,
 ) -> int:
     """Check models of others before use: closed, solid, joints, collisions."""
-    from articugen.core.compiling import compile_kernels
     from articugen.core.files import check_place, write_atomically
     from articugen.core.processes import default_jobs
     from articugen.inspection.check import door
@@ -144,8 +147,7 @@ def check(
         check_place(json)
     if html:
         check_html(html)
-    for kernels in ("generate", "inspect"):
-        compile_kernels(kernels, notice=stderr.print)
+    compile_for("generate", "inspect")
     with counting_bar() as count_model:
         done = count(1)
 
@@ -180,7 +182,7 @@ def _say_checked(model: "Checked") -> None:
 )
 def verify(
     path: Path = DATA_SETS,
-    jobs: int | None = option(None, "Worker processes.", "-j", min=1, show_default="all cores"),
+    jobs: int | None = JOBS,
     replay: int = option(
         0,
         "Make this many instances again from their source: each must come out the same to "

@@ -3,7 +3,7 @@
 # Everything heavy is imported where it is used: --help should not wait for h5py.
 # ruff: noqa: PLC0415
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperCommand
@@ -51,9 +51,6 @@ def export(
 
     if data is None or out is None or to not in names():
         _list_formats(data, to, out)
-    assert data is not None
-    assert to is not None
-    assert out is not None
     with counting_bar() as count_item:
         done = run(
             data,
@@ -72,7 +69,7 @@ def export(
     return REJECTED if done.left_out else 0
 
 
-def _list_formats(data: Path | None, to: str | None, out: Path | None) -> None:
+def _list_formats(data: Path | None, to: str | None, out: Path | None) -> NoReturn:
     """Say what is missing, or which formats there are where nothing is named; and leave."""
     from articugen.export.formats import format_named, names
 

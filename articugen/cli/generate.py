@@ -17,6 +17,7 @@ from articugen.cli.saying import (
     STOPPED,
     called_by_make,
     command,
+    compile_for,
     counting_bar,
     said,
     say,
@@ -160,7 +161,6 @@ def demo(
     out: Path = option(Path("demo"), "The folder to write into.", "-o"),
 ) -> None:
     """Make a few objects, a picture and a page of them, within a minute."""
-    from articugen.core.compiling import compile_kernels
     from articugen.inspection.report.page import write_report
     from articugen.pictures.contact_sheet import contact_sheet
     from articugen.pipeline.door import generate as make
@@ -171,7 +171,7 @@ def demo(
             category, out=out, recipe=DEMO_RECIPE, objects=DEMO,
             on_object=lambda one: count_object(next(done), DEMO, one.object_id),
         )  # fmt: skip
-    compile_kernels("inspect", notice=stderr.print)
+    compile_for("inspect")
     sheet, page, folder = (out / f"{category}{ending}" for ending in (".png", ".html", ""))
     with stderr.status("drawing ..."):
         contact_sheet(data.shards, sheet, states=4)

@@ -3,7 +3,8 @@
 # Everything heavy is imported where it is used: --help should not wait for torch.
 # ruff: noqa: PLC0415
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from articugen.cli.options import DATA, DEVICE, RUN, THREADS, argument, offered
-from articugen.cli.saying import command, loading, said, say, stderr
+from articugen.cli.saying import command, compile_for, loading, said, say, stderr
 from articugen.pipeline.options import CHANGES, option
 
 if TYPE_CHECKING:
@@ -68,15 +69,14 @@ def train(
         if bool(data) == bool(stream):
             raise typer.BadParameter("give the folder of a data set (--data), or --stream a source")
         with loading():
-            from articugen.core.compiling import compile_kernels
             from articugen.learning import commands
             from articugen.pipeline.stream import stream as open_stream
 
         for hint in commands.hints(data):
             say(hint, to=stderr)
-        compile_kernels("train", notice=stderr.print)
+        compile_for("train")
         source = open_stream(category, "stream", stream) if stream else data
-        with _ProgressBar() as on_progress:
+        with _progress_bar() as on_progress:
             run = commands.train(
                 source,
                 recipe,
@@ -224,11 +224,10 @@ def train_all(
 ) -> None:
     """Train several recipes for equally long, evaluate them alike, print tables, draw an object."""
     with loading():
-        from articugen.core.compiling import compile_kernels
         from articugen.learning.comparison import compare as compare_recipes
 
-    compile_kernels("train", notice=stderr.print)
-    with _ProgressBar() as on_progress:
+    compile_for("train")
+    with _progress_bar() as on_progress:
         done = compare_recipes(
             data, recipes, minutes=budget, runs=runs, seeds=seeds, states=states or None,
             jobs=jobs, device=device, on_progress=on_progress,
@@ -285,51 +284,46 @@ def watch(
     say(f"written: {outcome.figure}")
 
 
-class _ProgressBar:
+@contextmanager
+def _progress_bar() -> "Iterator[Callable[[Progress], None]]":
     """A bar with rate and time left on a terminal; elsewhere a line at each validation, and the
     last that was said of each thing done before: counts come to an end, findings stay."""
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
-    def __init__(self) -> None:
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
+    bar = Bar(
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
+        TextColumn("{task.fields[state]}"),
+        TimeRemainingColumn(),
+        console=stderr,
+        disable=not stderr.is_terminal,
+    )
+    tasks: dict[str, TaskID] = {}
+    latest: dict[str, str] = {}
+    kept: set[str] = set()
 
-        self.bar = Bar(
-            BarColumn(),
-            TextColumn("{task.completed:.0f}/{task.total:.0f} iterations"),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=stderr,
-            disable=not stderr.is_terminal,
-        )
-        self.tasks: dict[str, TaskID] = {}
-        self.latest: dict[str, str] = {}
-        self.kept: set[str] = set()
-
-    def __enter__(self) -> "Callable[[Progress], None]":
-        self.bar.start()
-        return self._tell
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.stop()
-
-    def _tell(self, progress: "Progress") -> None:
-        if progress.who not in self.tasks:
-            self.tasks[progress.who] = self.bar.add_task("", total=None, state="")
-        task = self.tasks[progress.who]
+    def tell(progress: "Progress") -> None:
+        if progress.who not in tasks:
+            tasks[progress.who] = bar.add_task("", total=None, state="")
+        task = tasks[progress.who]
         who = progress.who and f"{progress.who}: "
-        self.bar.update(task, completed=progress.iteration, total=progress.iterations)
-        before, self.latest[progress.who] = self.latest.get(progress.who, ""), progress.said
+        bar.update(task, completed=progress.iteration, total=progress.iterations)
+        before, latest[progress.who] = latest.get(progress.who, ""), progress.said
         is_over = before and before.partition(":")[0] != progress.said.partition(":")[0]
-        if is_over and before not in self.kept:  # whichever of the seeds that race say so
-            self.kept.add(before)
-            say(before, to=self.bar.console)
+        if is_over and before not in kept:  # whichever of the seeds that race say so
+            kept.add(before)
+            say(before, to=bar.console)
         if progress.said:
-            self.bar.update(task, state=f"{who}{progress.said}")
+            bar.update(task, state=f"{who}{progress.said}")
         if progress.terms:
-            speed = self.bar.tasks[task].speed or 0.0
+            speed = bar.tasks[task].speed or 0.0
             name, value = next(iter(progress.terms.items()))
-            self.bar.update(task, state=f"{who}{name} {value:.3g}, {speed:.2f}/s")
+            bar.update(task, state=f"{who}{name} {value:.3g}, {speed:.2f}/s")
         if progress.validation:
             values = ", ".join(f"{k} {v:.4f}" for k, v in progress.validation.items())
             line = f"{who}{progress.iteration}/{progress.iterations} held-out objects: {values}"
-            say(line, to=self.bar.console)
+            say(line, to=bar.console)
+
+    with bar:
+        yield tell

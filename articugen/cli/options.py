@@ -23,6 +23,7 @@ def argument(sentence: str, default: Any = MISSING, **shown: Any) -> Any:
 DATA = option(MISSING, "The folder of the data set.", "-d")
 DATA_SETS = argument("The folder of a data set, or one of such folders.")
 DEVICE = option("cpu", "cpu, cuda or cuda:1.")
+JOBS = option(None, "Worker processes.", "-j", min=1, show_default="all cores")
 RUN = argument("A run's folder, or that of a category's runs.")
 THREADS = option(0, "CPU threads; 0 leaves it to torch.", min=0)
 
@@ -43,12 +44,13 @@ def offered(
 
     def decorated(function: Callable[..., int | None]) -> Callable[..., None]:
         signature = inspect.signature(function)
-        wanted = {one.name: one for one in _asked(signature)}
-        records = {p.name: p.annotation for p in signature.parameters.values() if _is_record(p)}
+        wanted = list(_asked(signature))
+        kinds = {p.name: p.annotation for p in signature.parameters.values()}
+        records: dict[str, Any] = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
 
         @wraps(function)
         def called(**values: Any) -> None:
-            arguments = {one.name: _value(one, values.get(one.name)) for one in wanted.values()}
+            arguments = {one.name: _value(one, values.get(one.name)) for one in wanted}
             for place, record in records.items():
                 names = [one.name for one in fields(record) if one.name in arguments]
                 arguments[place] = record(**{name: arguments.pop(name) for name in names})
@@ -57,7 +59,7 @@ def offered(
             if status:
                 raise typer.Exit(status)
 
-        parameters = [*map(_parameter, wanted.values())]
+        parameters = [*map(_parameter, wanted)]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
         app.command(name, epilog=epilog, **settings)(called)
@@ -66,14 +68,10 @@ def offered(
     return decorated
 
 
-def _is_record(parameter: inspect.Parameter) -> bool:
-    return is_dataclass(parameter.annotation)
-
-
 def _asked(signature: inspect.Signature) -> Iterator[Field[Any]]:
     """Yield what can be asked, by name and type, in the order of the help."""
     for parameter in signature.parameters.values():
-        if _is_record(parameter):
+        if is_dataclass(parameter.annotation):
             yield from (one for one in fields(parameter.annotation) if "flags" in one.metadata)
         else:
             one = copy(parameter.default)

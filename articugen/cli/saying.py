@@ -102,6 +102,14 @@ def said(interrupted: str = "interrupted") -> Iterator[None]:
         raise typer.Exit(STOPPED[getattr(stop, "number", signal.SIGINT)]) from None
 
 
+def compile_for(*commands: str) -> None:
+    """Compile the kernels of these commands, where that was not done before, and say so."""
+    from articugen.core.compiling import compile_kernels  # noqa: PLC0415 - imports numba
+
+    for one in commands:
+        compile_kernels(one, notice=stderr.print)
+
+
 @contextmanager
 def loading() -> Iterator[None]:
     """While a large library loads: for seconds Python hears of no signal, and there is nothing to
@@ -117,18 +125,13 @@ def loading() -> Iterator[None]:
 def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
     """A bar with the time left, called with what is done, of how many, and what is being done;
     nothing where stderr is no terminal."""
-    from rich.progress import (  # noqa: PLC0415
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as rich  # noqa: PLC0415 - takes time
 
-    bar = Progress(
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeRemainingColumn(compact=True),
-        TextColumn("{task.description}"),
+    bar = rich.Progress(
+        rich.BarColumn(),
+        rich.TextColumn("{task.completed}/{task.total}"),
+        rich.TimeRemainingColumn(compact=True),
+        rich.TextColumn("{task.description}"),
         console=stderr,
         disable=not stderr.is_terminal,
         transient=True,

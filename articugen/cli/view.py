@@ -5,7 +5,7 @@
 from contextlib import suppress
 
 from articugen.cli.options import argument, offered
-from articugen.cli.saying import say, stderr
+from articugen.cli.saying import compile_for, say
 from articugen.pipeline.options import option
 
 
@@ -35,12 +35,10 @@ def view(
     import time
     import webbrowser
 
-    from articugen.core.compiling import compile_kernels
     from articugen.inspection.viewer.serve import served
     from articugen.inspection.viewer.sources import source_of
 
-    for command in ("generate", "inspect"):
-        compile_kernels(command, notice=stderr.print)
+    compile_for("generate", "inspect")
     source = source_of(path, category=category, recipe=recipe, seed=seed)
     with served(source, host=host, port=port) as shown:
         say(f"{path} is shown at {shown.url}; Ctrl-C ends it")
