@@ -252,7 +252,7 @@ def test_an_object_opens_a_little_open() -> None:
     )
     shown = Shown("x", joints, states, lambda _: hinged_box()[0], image_size=8)
     assert shown.ajar == 2  # of the slide, the farther end is the negative one
-    assert Shown("x", (), np.zeros((1, 0)), shown._read, image_size=8).ajar == 0
+    assert Shown("x", (), np.zeros((1, 0)), shown.read, image_size=8).ajar == 0
 
 
 def test_without_a_grid_or_a_source_the_surface_is_shown(viser: Any, tmp_path: Path) -> None:

@@ -35,18 +35,18 @@ class Camera:
         return -self.T_camera_world[:3, :3].T @ self.T_camera_world[:3, 3]
 
 
+def direction(azimuth: float, elevation: float) -> Floats:
+    """Return (3,) the unit vector that points there; rad."""
+    flat = np.cos(elevation)
+    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+
+
 def framed(points: Floats, azimuth: float, elevation: float, size: int, *, fill: float) -> Camera:
     """Return the camera at `azimuth`, `elevation` (rad) whose square image `points` (n, 3) fill.
 
     `fill` is the fraction of the width or height that their box takes, the larger of the two.
     """
-    toward_eye = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    toward_eye = direction(azimuth, elevation)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
     in_camera = apply(T_camera_world, points)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bytes, Floats
-from articugen.core.colours import PALETTE, rgb
+from articugen.core.colours import PALETTE, colour_of, rgb
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import FREE, JointKind, Mesh, dequantize
 from articugen.core.schema import Instance
@@ -130,7 +130,7 @@ def _frustum(T_camera_world: Floats, intrinsics: Floats, size: int) -> Floats:
 def meshes(parts: Sequence[Mesh], T_part: Floats) -> list[Drawn]:
     """Return a surface for each part, canonical in `parts`, moved by its own `T_part` (P, 4, 4)."""
     return [
-        Solid(mesh.vertices, mesh.faces, _bytes(PALETTE[k]), T=T)
+        Solid(mesh.vertices, mesh.faces, rgb(colour_of(k)), T=T)
         for k, (mesh, T) in enumerate(zip(parts, T_part, strict=True))
         if len(mesh.faces)
     ]
@@ -154,8 +154,3 @@ def joints(instance: Instance) -> list[Drawn]:
         Lines(np.concatenate(ends), np.stack([both, both], axis=1), 3.0),
         Points(pivots, dark, 0.02),
     ]
-
-
-def _bytes(colour: Bytes) -> tuple[int, int, int]:
-    red, green, blue = colour.tolist()
-    return red, green, blue

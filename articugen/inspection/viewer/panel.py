@@ -62,15 +62,28 @@ class Panel:
         Args:
             ask: is called, on the server's event loop, with what is to become of the wish.
         """
-        self._gui, self._ask = server.gui, ask
+        gui, names = server.gui, words.names_of(objects)
+        self._gui, self._ask = gui, ask
         self._shown: Shown | None = None
         self._sliders: list[Any] = []
-        server.gui.configure_theme(
-            show_logo=False, show_share_button=False, brand_color=(47, 95, 149)
-        )
-        server.gui.set_panel_label("articugen")
-        server.gui.main_panel.dock_right()
-        self._build(title, objects)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 95, 149))
+        gui.set_panel_label("articugen")
+        gui.main_panel.dock_right()
+        gui.add_html(str(words.heading(title, len(objects))))
+        chooser = gui.add_dropdown("Object", tuple(names))
+        self._state: Any = gui.add_dropdown("State", (BETWEEN,))
+        self._said = gui.add_html("")
+        self._joints = gui.add_folder("Joints")
+        with gui.add_folder("Show"):
+            for name in LAYERS:
+                self._box(name)
+                if name == GRID:
+                    self._grid: Any = gui.add_dropdown("Voxels", ("none",), visible=False)
+        with gui.add_folder("Parts"):
+            self._legend = gui.add_html("")
+        self._on(chooser, lambda w, name: replace(w, object_id=names[name], q=None))
+        self._on(self._state, self._to_state)
+        self._on(self._grid, lambda w, name: replace(w, resolution=words.edge_of(name)))
 
     def open(self, shown: Shown | None) -> None:
         """Have sliders for an object's joints, and its states to choose from; None: have none."""
@@ -102,24 +115,6 @@ class Panel:
         self._grid.options = tuple(words.grid_of(r) for r in resolutions) or ("none",)
         self._grid.value = words.grid_of(chosen) if resolutions else "none"
         self._grid.visible = visible and len(resolutions) > 1
-
-    def _build(self, title: str, objects: Sequence[str]) -> None:
-        gui, names = self._gui, words.names_of(objects)
-        gui.add_html(str(words.heading(title, len(objects))))
-        chooser = gui.add_dropdown("Object", tuple(names))
-        self._state: Any = gui.add_dropdown("State", (BETWEEN,))
-        self._said = gui.add_html("")
-        self._joints = gui.add_folder("Joints")
-        with gui.add_folder("Show"):
-            for name in LAYERS:
-                self._box(name)
-                if name == GRID:
-                    self._grid: Any = gui.add_dropdown("Voxels", ("none",), visible=False)
-        with gui.add_folder("Parts"):
-            self._legend = gui.add_html("")
-        self._on(chooser, lambda w, name: replace(w, object_id=names[name], q=None))
-        self._on(self._state, self._to_state)
-        self._on(self._grid, lambda w, name: replace(w, resolution=words.edge_of(name)))
 
     def _on(self, control: Any, change: Callable[[Wish, Any], Wish]) -> None:
         """Ask for what `change` makes of a new value, where it was the window that changed it."""

@@ -103,7 +103,7 @@ class Session:
         self._draw(shown, wish)
         if opened and shown.maker is not None:
             self._panel.say(join(text, words.busy("getting ready for the sliders …")))
-            shown.get_ready()
+            _ = shown.maker.prepared
         self._panel.say(text)
 
     def _open(self, object_id: str) -> Shown:

@@ -1,19 +1,20 @@
 """One object at any joint state: as it is stored, made again from its source, or the nearest."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.errors import InvalidArgument, MissingExtra
+from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, invert_rigid
 from articugen.core.records import JointKind, Mesh
 from articugen.core.schema import Instance
 from articugen.instance import again
 from articugen.instance.maker import Maker
 from articugen.meshes.marching_cubes import zero_level
+from articugen.meshes.simpler import simpler
 from articugen.pictures.portrait import AJAR
 
 SAME = 1e-9  # radians or metres by which joint values of one state may differ
@@ -65,43 +66,34 @@ class Seen:
     why: str = ""
 
 
+@dataclass(eq=False)
 class Shown:
     """One object.
 
     Attributes:
         object_id: whatever its source calls it.
-        split: "train" or "test"; "" where it is in no data set.
         joints: those that move, in part order.
         states: (n, J) the joint values of the states that there are, rad or m; 0 is canonical.
+        read: gives the instance of a state.
+        image_size: pixels along the edge of what its depth cameras see.
+        split: "train" or "test"; "" where it is in no data set.
         maker: makes it at any other state; None where its source is not there.
         why: the sentence that says so; "" where it is.
-        image_size: pixels along the edge of what its depth cameras see.
     """
 
-    def __init__(
-        self,
-        object_id: str,
-        joints: Sequence[Joint],
-        states: Floats,
-        read: Callable[[int], Instance],
-        *,
-        image_size: int,
-        split: str = "",
-        maker: Maker | None = None,
-        why: str = "",
-    ) -> None:
-        """
-        Args:
-            read: gives the instance of a state.
-        """
-        self.object_id, self.split, self.joints = object_id, split, tuple(joints)
-        self.states, self.image_size = states, image_size
-        self.maker, self.why = maker, why
-        self._read = read
+    object_id: str
+    joints: Sequence[Joint]
+    states: Floats
+    read: Callable[[int], Instance]
+    _: KW_ONLY
+    image_size: int
+    split: str = ""
+    maker: Maker | None = None
+    why: str = ""
 
     def at_state(self, state: int) -> Seen:
         """Return one of its states, as it is stored or as `generate` would store it."""
-        return Seen(self._read(state), self.states[state], state)
+        return Seen(self.read(state), self.states[state], state)
 
     def at(self, q: Floats) -> Seen:
         """Return the object at joint values (J,), rad or m. Joints that follow another are put
@@ -125,7 +117,7 @@ class Shown:
 
     def _nearest_to(self, q: Floats, why: str) -> Seen:
         near = self.nearest(q)
-        return Seen(self._read(near), self.states[near], near, asked=False, why=why)
+        return Seen(self.read(near), self.states[near], near, asked=False, why=why)
 
     def nearest(self, q: Floats) -> int:
         """Return the state that differs least from `q`, each joint by its range."""
@@ -146,33 +138,18 @@ class Shown:
 
         Raises:
             RejectedInstance: a part is too small to have any.
-            MissingExtra: manifold3d is not there.
         """
-        return tuple(_simpler(mesh) if len(mesh.faces) else mesh for mesh in self._part_surfaces())
+        surfaces = self._part_surfaces()  # a triangle a voxel takes a browser fifty times as long
+        return tuple(simpler(mesh, WITHIN) if len(mesh.faces) else mesh for mesh in surfaces)
 
     def _part_surfaces(self) -> Iterator[Mesh]:
         if self.maker is not None:
             yield from again.part_meshes(self.maker.prepared, PART_VOXELS)
             return
-        first = self._read(0)
+        first = self.read(0)
         if not first.occupancy:
             return
         label = first.occupancy[max(first.occupancy)]
         for part, back in enumerate(invert_rigid(first.part_motion)):
             posed = zero_level(np.where(label == part + 1, 1.0, -1.0))
             yield Mesh(apply(back, posed.vertices), posed.faces)
-
-    def get_ready(self) -> None:
-        """Make now what making an instance would wait for."""
-        if self.maker is not None:
-            _ = self.maker.prepared
-
-
-def _simpler(mesh: Mesh) -> Mesh:
-    """Return the same surface without a triangle a voxel, which a browser draws fifty times as
-    fast."""
-    try:
-        from articugen.meshes.simpler import simpler  # noqa: PLC0415 - an optional library
-    except ModuleNotFoundError:
-        raise MissingExtra("manifold3d", "view") from None
-    return simpler(mesh, WITHIN)

@@ -1,9 +1,9 @@
 """Sources of the viewer: a shard, a data set, a model or a folder of models."""
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -21,76 +21,79 @@ from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.shards import open_shard
 
 
-class Source(Protocol):
+@dataclass(frozen=True, eq=False)
+class Source:
     """Objects to view.
 
     Attributes:
         title: where they come from.
         objects: their ids.
+        shown: shows one of them; ArticugenError if it cannot be read, or nothing can be made of it.
     """
 
     title: str
     objects: Sequence[str]
-
-    def shown(self, object_id: str) -> Shown:
-        """Show one of them; ArticugenError if it cannot be read, or nothing can be made of it."""
-        ...
+    shown: Callable[[str], Shown]
 
 
-class StoredObjects:
-    """The objects of a data set, in the order of its shards."""
+def _stored(data: DataSet) -> Source:
+    """Return the objects of a data set, in the order of its shards."""
+    objects = [name for name, _ in data.by_object()]
+    if not objects:
+        raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
+    return Source(str(data.path), objects, partial(_shown_as_stored, data))
 
-    def __init__(self, data: DataSet) -> None:
-        self.title, self._data = str(data.path), data
-        self.objects: Sequence[str] = [name for name, _ in data.by_object()]
-        if not self.objects:
-            raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
 
-    def shown(self, object_id: str) -> Shown:
-        (path, *_) = self._data.of(object_id).shards
+def _shown_as_stored(data: DataSet, object_id: str) -> Shown:
+    its = data.of(object_id)
+    path = its.shards[0]
+    with open_shard(path) as shard:
+        order = shard.read("state_index")
+        rows = [row for row, name in enumerate(shard.object_ids()) if name == object_id]
+        rows.sort(key=lambda row: int(order[row]))
+        first = shard.instance(rows[0])
+        length = np.where(first.joint_kind == JointKind.PRISMATIC, first.scale, 1.0)
+        states = shard.read("joint_state")[rows] * length
+        split = str(shard.attributes["split"])
+
+    def read(state: int) -> Instance:
         with open_shard(path) as shard:
-            order = shard.read("state_index")
-            rows = [row for row, name in enumerate(shard.object_ids()) if name == object_id]
-            rows.sort(key=lambda row: int(order[row]))
-            first = shard.instance(rows[0])
-            length = np.where(first.joint_kind == JointKind.PRISMATIC, first.scale, 1.0)
-            states = shard.read("joint_state")[rows] * length
-            split = str(shard.attributes["split"])
+            return shard.instance(rows[state])
 
-        def read(state: int) -> Instance:
-            with open_shard(path) as shard:
-                return shard.instance(rows[state])
-
-        maker, why = None, ""
-        try:
-            maker = self._maker(path, object_id)
-        except ArticugenError as error:
-            why = str(error)
-        joints = _joints_of_maker(maker) if maker else _joints_of_instance(first)
-        return Shown(
-            object_id, joints, states, read,
-            image_size=self._recipe.sampling.partial_resolution, split=split, maker=maker, why=why,
-        )  # fmt: skip
-
-    @cached_property
-    def _recipe(self) -> Recipe:
-        return self._data.recipe
-
-    def _maker(self, shard: Path, object_id: str) -> Maker:
-        """Return what makes more states, if the source is what it was; else ArticugenError."""
-        manifest = self._data.manifest
-        if manifest is None and (shard.parent / MANIFEST_NAME).is_file():
-            beside = Manifest.read(shard.parent)
-            manifest = beside if shard.name in {s.name for s in beside.shards} else None
-        if manifest is None:
-            raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
-        obj, settings = again.source_again(manifest, object_id)
-        model = Model(obj, settings.canonical, tuple(settings.movable))
-        recipe = Recipe.model_validate_json(manifest.recipe)
-        return Maker(model, recipe.for_one_object(), manifest.seed)
+    maker, why = None, ""
+    try:
+        maker = _maker(data, path, object_id)
+    except ArticugenError as error:
+        why = str(error)
+    joints = (
+        _joints_of(maker)
+        if maker
+        else [
+            Joint(j.name, JointKind[j.kind.upper()], min(j.lower, 0.0), max(j.upper, 0.0))
+            for j in its[0].joints
+        ]
+    )
+    return Shown(
+        object_id, joints, states, read,
+        image_size=data.recipe.sampling.partial_resolution, split=split, maker=maker, why=why,
+    )  # fmt: skip
 
 
-def _joints_of_maker(maker: Maker) -> list[Joint]:
+def _maker(data: DataSet, shard: Path, object_id: str) -> Maker:
+    """Return what makes more states, if the source is what it was; else ArticugenError."""
+    manifest = data.manifest
+    if manifest is None and (shard.parent / MANIFEST_NAME).is_file():
+        beside = Manifest.read(shard.parent)
+        manifest = beside if shard.name in {s.name for s in beside.shards} else None
+    if manifest is None:
+        raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
+    obj, settings = again.source_again(manifest, object_id)
+    model = Model(obj, settings.canonical, tuple(settings.movable))
+    recipe = Recipe.model_validate_json(manifest.recipe)
+    return Maker(model, recipe.for_one_object(), manifest.seed)
+
+
+def _joints_of(maker: Maker) -> list[Joint]:
     return [
         Joint(
             joint.name,
@@ -103,43 +106,26 @@ def _joints_of_maker(maker: Maker) -> list[Joint]:
     ]
 
 
-def _joints_of_instance(instance: Instance) -> list[Joint]:
-    names = instance.joint_name or ("",) * len(instance.joint_kind)
-    joints = []
-    for j, name in enumerate(names):
-        kind = JointKind(int(instance.joint_kind[j]))
-        length = instance.scale if kind == JointKind.PRISMATIC else 1.0
-        lower, upper = instance.joint_lower[j] * length, instance.joint_upper[j] * length
-        joints.append(Joint(name, kind, min(float(lower), 0.0), max(float(upper), 0.0)))
-    return joints
+def _modelled(source: str, category: str | None, recipe: str | None, seed: int) -> Source:
+    """Return models as a source gives them, and what `generate` would make of them."""
+    refs = models(source, category)
 
-
-class ModelObjects:
-    """Models as a source gives them, and what `generate` would make of them."""
-
-    def __init__(
-        self, source: str, category: str | None = None, recipe: str | None = None, seed: int = 0
-    ) -> None:
-        self.title, self._recipe, self._seed = source, recipe, seed
-        refs = models(source, category)
-        self._category = refs[0].category
-        self.objects: Sequence[str] = [ref.object_id for ref in refs]
-        self._source = source
-
-    def shown(self, object_id: str) -> Shown:
-        model = load(self._source, object_id, category=self._category)
+    def shown(object_id: str) -> Shown:
+        model = load(source, object_id, category=refs[0].category)
         try:
-            maker = Maker(model, self._recipe, self._seed)
+            maker = Maker(model, recipe, seed)
         except NotOfCategory as error:
             raise NotOfCategory(f"{object_id}: {error}") from None
         return Shown(
             object_id,
-            _joints_of_maker(maker),
+            _joints_of(maker),
             np.array([state.q for state in maker.prepared.states]),
             lambda state: maker[state].instance,
             image_size=maker.recipe.sampling.partial_resolution,
             maker=maker,
         )
+
+    return Source(source, [ref.object_id for ref in refs], shown)
 
 
 def source_of(
@@ -157,9 +143,9 @@ def source_of(
     place = Path(path)
     patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
     if place.suffix == ".h5" or any(match for pattern in patterns for match in place.glob(pattern)):
-        return StoredObjects(open_data_set(place))
+        return _stored(open_data_set(place))
     if not place.exists() and path not in source_files():
         raise InvalidSource(
             f"{path}: there is no such shard, folder, URDF or source; correct its path"
         )
-    return ModelObjects(path, category, recipe, seed)
+    return _modelled(path, category, recipe, seed)

@@ -8,6 +8,7 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.geometry import look_along
 from articugen.inspection.viewer.layers import Drawn, Lines, Points, Solid
+from articugen.pictures.camera import direction
 from articugen.pictures.portrait import ELEVATION
 
 if TYPE_CHECKING:
@@ -41,11 +42,7 @@ class Stage:
 
     def frame(self, azimuth: float, points: Floats) -> None:
         """Look from this side (rad) at points (n, 3)."""
-        flat = np.cos(ELEVATION)
-        self._toward_eye = np.array(
-            [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(ELEVATION)]
-        )
-        self._points = points
+        self._toward_eye, self._points = direction(azimuth, ELEVATION), points
         self.framed = True
         for client in self._server.get_clients().values():
             self._place(client)
