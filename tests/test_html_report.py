@@ -43,15 +43,17 @@ def named(instance: Instance) -> Instance:
     return replace(instance, **names, part_semantic=("", HOSTILE, ""))
 
 
+def unusual_boxes(folder: Path) -> list[Path]:
+    """Write two shards: of a box with such names, for training, and of a plain one."""
+    boxes = [named(i) for i in hinged_box(STATES, object_id=HOSTILE)]
+    plain = hinged_box(STATES, object_id="b", seed=1)
+    return [shard(folder / "train-00000.h5", boxes), shard(folder / "test-00000.h5", plain, "test")]
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("boxes with ünusual names")
-    boxes = hinged_box(STATES, object_id=HOSTILE)
-    shards = [shard(folder / "train-00000.h5", [named(i) for i in boxes])]
-    shards.append(
-        shard(folder / "test-00000.h5", hinged_box(STATES, object_id="b", seed=1), "test")
-    )
-    html = folder / "report.html"
+    shards, html = unusual_boxes(folder), folder / "report.html"
     assert write_report(folder, shards, html) == html.stat().st_size
     return html
 

@@ -58,8 +58,8 @@ def test_the_nearest_are_found_and_proportions_told(sets: tuple[Path, Path]) -> 
     }
     assert nearest == {"high 1.0": "low 1.0", "high 2.0": "low 1.1"}
     # Both sets show some of the same points: nearer than an object is by all others.
-    assert 0.0 < found.between.min() < found.floor[1] < 1.5 / np.sqrt(POINTS)
-    assert found.pairs[1] > 2 * found.pairs[0]
+    assert 0.0 < found.between.min() < found.second.floor < 1.5 / np.sqrt(POINTS)
+    assert found.second.pairs > 2 * found.first.pairs
     numbers = found.numbers
     heights = [numbers[f"{name}: height (z), quantile 0.5"] for name in ("first", "second")]
     assert 1.3 < heights[1] / heights[0] < 1.7  # the middle of 1 and 2
@@ -72,7 +72,7 @@ def test_the_nearest_are_found_and_proportions_told(sets: tuple[Path, Path]) -> 
 def test_a_set_is_as_near_to_itself_as_can_be(sets: tuple[Path, Path]) -> None:
     found = likeness(sets[0], sets[0])
     assert found.reached == 0.0
-    assert found.pairs[0] == found.pairs[1]
+    assert found.first.pairs == found.second.pairs
 
 
 def test_the_command_prints_draws_and_refuses(sets, box, tmp_path):

@@ -13,7 +13,7 @@ from browser import LAPTOP, PHONE, faults_of
 from command_line import run
 from instances import hinged_box
 from ppd_data import shard
-from test_html_report import HOSTILE, STATES, named
+from test_html_report import HOSTILE, STATES, unusual_boxes
 
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, printable
 from articugen.inspection.report.site import site
@@ -27,8 +27,7 @@ FOLLOWED = """() => { const { joints, camera } = articugen.opened()[0].view.get(
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("boxes, ünusual")
-    shard(folder / "train-00000.h5", [named(i) for i in hinged_box(STATES, object_id=HOSTILE)])
-    shard(folder / "test-00000.h5", hinged_box(STATES, object_id="b", seed=1), "test")
+    unusual_boxes(folder)
     return folder
 
 

@@ -44,12 +44,15 @@ class Objects:
         chosen: its objects, in the order of all that follows.
         points: (n, 1200, 3) of each.
         floor: the mean distance of other points of an object from these: nothing is nearer.
+        pairs, nearest: mean distances between two objects, and of the nearest other one from each.
         measures: (m,) every value of a measure, by its name in `MEASURES`.
     """
 
     chosen: list[Chosen]
     points: Floats
     floor: float
+    pairs: float
+    nearest: float
     measures: dict[str, Floats]
 
 
@@ -60,21 +63,11 @@ class Likeness:
     Attributes:
         first, second: the two sets.
         between: (m, n) distances of each object of the second set from each of the first.
-        pairs: distances between objects of the same set: their mean in the first and the second.
-        nearest: how far the nearest other object of the same set is, likewise.
     """
 
     first: Objects
     second: Objects
     between: Floats
-    pairs: tuple[float, float]
-    nearest: tuple[float, float]
-
-    @property
-    def floor(self) -> tuple[float, float]:
-        """Distance of an object from itself, seen by other points: in the first set and the
-        second."""
-        return self.first.floor, self.second.floor
 
     @property
     def reached(self) -> float:
@@ -84,14 +77,15 @@ class Likeness:
     @property
     def numbers(self) -> dict[str, float]:
         """Return all numbers; quantiles 0.1, 0.5 and 0.9 of each measure that any object has."""
+        a, b = self.first, self.second
         numbers = {
-            "first: objects": len(self.first.chosen), "second: objects": len(self.second.chosen),
-            "first: pairs": self.pairs[0], "second: pairs": self.pairs[1],
-            "first: same object": self.floor[0], "second: same object": self.floor[1],
-            "first: own nearest": self.nearest[0], "second: own nearest": self.nearest[1],
+            "first: objects": len(a.chosen), "second: objects": len(b.chosen),
+            "first: pairs": a.pairs, "second: pairs": b.pairs,
+            "first: same object": a.floor, "second: same object": b.floor,
+            "first: own nearest": a.nearest, "second: own nearest": b.nearest,
             "second to nearest first": self.reached,
         }  # fmt: skip
-        for name, some in (("first", self.first), ("second", self.second)):
+        for name, some in (("first", a), ("second", b)):
             for measure, values in some.measures.items():
                 for q in (0.1, 0.5, 0.9) if len(values) else ():
                     numbers[f"{name}: {measure}, quantile {q}"] = float(np.quantile(values, q))
@@ -108,13 +102,7 @@ def likeness(first: Path, second: Path) -> Likeness:
         CorruptShard: a shard cannot be read.
     """
     a, b = _objects(first), _objects(second)
-    within = [_distances(some.points, some.points) for some in (a, b)]
-    for square in within:
-        np.fill_diagonal(square, np.inf)
-    pairs = [float(square[np.isfinite(square)].mean()) for square in within]
-    nearest = [float(square.min(axis=1).mean()) for square in within]
-    between = _distances(b.points, a.points)
-    return Likeness(a, b, between, (pairs[0], pairs[1]), (nearest[0], nearest[1]))
+    return Likeness(a, b, _distances(b.points, a.points))
 
 
 def farthest(alike: Likeness, *, count: int = 6) -> Picture:
@@ -128,7 +116,7 @@ def farthest(alike: Likeness, *, count: int = 6) -> Picture:
     ):
         drawn = portraits([some.chosen[k] for k in picked], states=1)
         captions = [
-            [(f"{d.object_id}  {distance[k]:.3f}", colour_of(colour))]
+            [(f"{d.chosen.object_id}  {distance[k]:.3f}", colour_of(colour))]
             for d, k in zip(drawn, far, strict=True)
         ]
         rows.append(Row(title, [d.pictures[0] for d in drawn], captions))
@@ -155,11 +143,16 @@ def _objects(path: Path) -> Objects:
         some, others = np.resize(rng.permutation(cloud, axis=0), (2, POINTS, 3)).astype(np.float64)
         points.append(some)
         floors.append(float(_distances(some[None], others[None])[0, 0]))
+    clouds = np.array(points)
+    square = _distances(clouds, clouds)
+    np.fill_diagonal(square, np.inf)
     return Objects(
         chosen,
-        np.array(points),
-        float(np.mean(floors)),
-        {k: np.array(v) for k, v in measures.items()},
+        clouds,
+        floor=float(np.mean(floors)),
+        pairs=float(square[np.isfinite(square)].mean()),
+        nearest=float(square.min(axis=1).mean()),
+        measures={k: np.array(v) for k, v in measures.items()},
     )
 
 
@@ -224,20 +217,15 @@ def _one_way(cloud, other):  # pragma: no cover - compiled
 def rows(alike: Likeness) -> Sequence[tuple[str, str, str]]:
     """Name, first set, second set: the lines of a table."""
 
-    def both(name: str, values: tuple[float, float]) -> tuple[str, str, str]:
-        return name, f"{values[0]:.3f}", f"{values[1]:.3f}"
-
-    lines = [
-        ("objects", str(len(alike.first.chosen)), str(len(alike.second.chosen))),
-        both("any two in a set", alike.pairs),
-        both("an object, by other points", alike.floor),
-        both("nearest in its own set", alike.nearest),
+    a, b = alike.first, alike.second
+    return [
+        ("objects", str(len(a.chosen)), str(len(b.chosen))),
+        ("any two in a set", f"{a.pairs:.3f}", f"{b.pairs:.3f}"),
+        ("an object, by other points", f"{a.floor:.3f}", f"{b.floor:.3f}"),
+        ("nearest in its own set", f"{a.nearest:.3f}", f"{b.nearest:.3f}"),
         ("nearest in the first", "", f"{alike.reached:.3f}"),
+        *((name, _spread(a.measures[name]), _spread(b.measures[name])) for name in MEASURES),
     ]
-    for name in MEASURES:
-        first, second = alike.first.measures[name], alike.second.measures[name]
-        lines.append((name, _spread(first), _spread(second)))
-    return lines
 
 
 def _spread(values: Floats) -> str:

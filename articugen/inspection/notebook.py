@@ -7,8 +7,6 @@ imported when the first is drawn.
 # ruff: noqa: PLC0415
 import base64
 import html
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
@@ -23,16 +21,13 @@ OBJECTS, STATES = 2, 4  # of a contact sheet: a glance, drawn in seconds
 
 def of_data(data: DataSet) -> str:
     """Return a small contact sheet of the objects of a data set, as HTML."""
-    from articugen.pictures.contact_sheet import contact_sheet
+    from articugen.pictures.contact_sheet import drawn_sheet
+    from articugen.pictures.layout import png
 
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "sheet.png"
-            contact_sheet(data.shards, path, objects=OBJECTS, states=STATES)
-            picture = path.read_bytes()
+        return _page(png(drawn_sheet(data.shards, OBJECTS, STATES)), repr(data))
     except ArticugenError:  # no surface points, say: nothing to draw
         return _page(b"", repr(data))
-    return _page(picture, repr(data))
 
 
 def of_row(row: Row) -> str:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from articugen.core.errors import InvalidArgument
 from articugen.core.records import ENCLOSED, STORED_KINDS, JointKind
 from articugen.core.schema import resolution_of
 from articugen.core.tables import DIM, quiet_table, size
+from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard
 
 LOOKED_AT = 256  # instances whose points and grids, spread evenly, stand for all of them
@@ -38,80 +38,70 @@ def shards_of(path: Path) -> list[Path]:
 
 def summary(shards: Sequence[Path]) -> RenderableType:
     """Summarise shards: fields with sizes, joints with states, parts; or CorruptShard."""
-    some = -(-LOOKED_AT // len(shards))
-    contents = [_seen(path, some) for path in shards]
+    content = _Content()
+    for path in shards:
+        with open_shard(path) as shard:
+            content.add(shard, -(-LOOKED_AT // len(shards)))
     files = sum(path.stat().st_size for path in shards)
-    return Group(_heading(contents), _fields(contents, files), _joints(contents), _parts(contents))
+    return Group(_heading(content), _fields(content, files), _joints(content), _parts(content))
 
 
-_States = dict[tuple[int, JointKind], Floats]
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Content of a shard, counted.
+class _Content:
+    """Content of shards, counted.
 
     Attributes:
-        about: its attributes.
+        about: attributes of the last one.
         objects: (split, id) of each.
         instances: how many there are.
-        shapes, stored: of each field, that of an instance and its bytes on disk.
+        shapes, stored: of each field, those of an instance, and its bytes on disk.
         states: by joint and kind: (n, 3) lower, upper, state; degrees, or the model's unit.
         counts: (256,) how often some instances have each part or label, by field.
     """
 
-    about: Mapping[str, str | int | float]
-    objects: frozenset[tuple[str, str]]
-    instances: int
-    shapes: Mapping[str, tuple[int, ...]]
-    stored: Mapping[str, int]
-    states: _States
-    counts: Mapping[str, Ints]
+    def __init__(self) -> None:
+        self.about: Mapping[str, Attribute] = {}
+        self.objects: set[tuple[str, str]] = set()
+        self.instances = 0
+        self.shapes: dict[str, set[tuple[int, ...]]] = {}
+        self.stored = Counter[str]()
+        self.states: dict[tuple[int, JointKind], list[Floats]] = {}
+        self.counts: dict[str, Ints] = {}
 
-
-def _seen(path: Path, some: int) -> _Seen:
-    """Count the content of one shard, opened once, by `some` of its instances."""
-    with open_shard(path) as shard:
-        about = dict(shard.attributes)
+    def add(self, shard: Shard, some: int) -> None:
+        """Count a shard; its parts and labels by `some` of its instances."""
+        self.about = shard.attributes
+        self.objects |= {(str(self.about["split"]), name) for name in shard.object_ids()}
+        self.instances += len(shard)
+        for name, shape in shard.fields.items():
+            self.shapes.setdefault(name, set()).add(shape[1:])
+            self.stored[name] += shard.stored_bytes(name)
         kinds, scale = shard.read("joint_kind"), shard.read("scale")
         columns = [shard.read(f"joint_{name}") for name in ("lower", "upper", "state")]
         values = np.stack(columns, axis=-1)
-        states: _States = {}  # in degrees, or in the unit of their model
         for joint, kind in product(range(kinds.shape[1]), STORED_KINDS):
             here = kinds[:, joint] == kind
             unit = np.degrees(1.0) if kind == JointKind.REVOLUTE else scale[here, None]
-            states[joint, kind] = values[here, joint] * unit
-        return _Seen(
-            about,
-            frozenset((str(about["split"]), object_id) for object_id in shard.object_ids()),
-            len(shard),
-            {name: shape[1:] for name, shape in shard.fields.items()},
-            {name: shard.stored_bytes(name) for name in shard.fields},
-            states,
-            _counts_of(shard, min(len(shard), some)),
-        )
+            self.states.setdefault((joint, kind), []).append(values[here, joint] * unit)
+        grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=resolution_of)
+        for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
+            count = self.counts.setdefault(name, np.zeros(256, np.int64))
+            for row in np.linspace(0, len(shard) - 1, min(len(shard), some)).astype(int):
+                count += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
 
 
-def _heading(shards: Sequence[_Seen]) -> Text:
-    objects = frozenset[tuple[str, str]]().union(*(shard.objects for shard in shards))
-    instances, about = sum(shard.instances for shard in shards), shards[-1].about
-    per_split = Counter(split for split, _ in objects)
+def _heading(content: _Content) -> Text:
+    about, per_split = content.about, Counter(split for split, _ in content.objects)
     counts = ", ".join(f"{n} {split}" for split, n in sorted(per_split.items(), reverse=True))
     return Text.assemble(
         (f"{about['category']}", "bold"),
-        f"  {len(objects)} objects ({counts}), {instances:,} instances, seed {about['seed']}, "
-        f"schema {about['schema_version']}, articugen {about['articugen_version']}",
+        f"  {len(content.objects)} objects ({counts}), {content.instances:,} instances, "
+        f"seed {about['seed']}, schema {about['schema_version']}, "
+        f"articugen {about['articugen_version']}",
     )
 
 
-def _fields(shards: Sequence[_Seen], files: int) -> Table:
-    shapes: dict[str, set[tuple[int, ...]]] = {}
-    stored = Counter[str]()
-    instances = sum(shard.instances for shard in shards)
-    for shard in shards:
-        stored.update(shard.stored)
-        for name, shape in shard.shapes.items():
-            shapes.setdefault(name, set()).add(shape)
+def _fields(content: _Content, files: int) -> Table:
+    shapes, stored, instances = content.shapes, content.stored, content.instances
     table = quiet_table("data set", "dtype", "shape", "unit", ">on disk", ">each")
     for field in schema.FIELDS:
         for name in sorted(filter(field.matches, shapes)):
@@ -123,15 +113,11 @@ def _fields(shards: Sequence[_Seen], files: int) -> Table:
     return table
 
 
-def _joints(shards: Sequence[_Seen]) -> Table:
-    states: dict[tuple[int, JointKind], list[Floats]] = {}
-    for shard in shards:
-        for joint, values in shard.states.items():
-            states.setdefault(joint, []).append(values)
+def _joints(content: _Content) -> Table:
     table = quiet_table(
         ">joint", "kind", ">instances", ">range sampled from", "states, low to high"
     )
-    for (joint, kind), pieces in sorted(states.items()):
+    for (joint, kind), pieces in sorted(content.states.items()):
         rows = np.concatenate(pieces)
         if len(rows):
             low, high = float(rows[:, 0].min()), float(rows[:, 1].max())
@@ -151,22 +137,9 @@ def histogram(values: Floats, low: float, high: float) -> str:
     return "".join(BARS[height] for height in heights)
 
 
-def _counts_of(shard: Shard, some: int) -> dict[str, Ints]:
-    grids = sorted((n for n in shard.fields if n.startswith("occupancy_")), key=resolution_of)
-    counts: dict[str, Ints] = {}
-    for name in ("surface_part", "partial_part", "uniform_label", "near_label", *grids[-1:]):
-        counts[name] = np.zeros(256, np.int64)
-        for row in np.linspace(0, len(shard) - 1, some).astype(int):
-            counts[name] += np.bincount(shard.read(name, int(row)).ravel(), minlength=256)
-    return counts
-
-
-def _parts(shards: Sequence[_Seen]) -> Table:
+def _parts(content: _Content) -> Table:
     """Tabulate each part's share of the points and of the finest grid; enclosed space apart."""
-    counts: dict[str, Ints] = {}
-    for shard in shards:
-        for name, by_part in shard.counts.items():
-            counts[name] = counts.get(name, 0) + by_part
+    counts = content.counts
     shares = {}
     for name, total in counts.items():  # of points in each part; label k + 1 is part k
         parts = (total / max(int(total.sum()), 1))[0 if name.endswith("_part") else 1 :]

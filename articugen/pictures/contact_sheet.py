@@ -22,6 +22,7 @@ from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
+from articugen.pictures.camera import Camera
 from articugen.pictures.layout import TILE, Caption, Row, check_picture, save, sheet
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.pictures.shading import Picture
@@ -51,8 +52,7 @@ class Chosen:
 class Portraits:
     """An object's row: `instances`, a picture of each, and what its joints' states are."""
 
-    object_id: str
-    split: str
+    chosen: Chosen
     instances: tuple[Instance, ...]
     pictures: tuple[Picture, ...]
 
@@ -65,23 +65,6 @@ class Portraits:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Object:
-    """`instances` to draw; `discs` in the canonical pose, from the points of many instances."""
-
-    chosen: Chosen
-    instances: tuple[Instance, ...]
-    discs: Surfels
-
-    @property
-    def points(self) -> Floats:
-        return np.concatenate([dequantize(i.surface_points) for i in self.instances])
-
-    @property
-    def floor(self) -> float:
-        return float(self.points[:, 2].min())
-
-
 def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, states: int = 6) -> None:
     """Draw `objects` rows of `states` instances each, chosen evenly from `shards`, as a PNG.
 
@@ -91,9 +74,16 @@ def contact_sheet(shards: Sequence[Path], path: Path, *, objects: int = 4, state
             written.
     """
     check_picture(path)
-    drawn = portraits(chosen_of(shards, objects), states=states)
-    rows = [Row(f"{d.object_id}  {d.split}", d.pictures, d.captions) for d in drawn]
-    save(sheet(rows), path)
+    save(drawn_sheet(shards, objects, states), path)
+
+
+def drawn_sheet(shards: Sequence[Path], objects: int, states: int) -> Picture:
+    """Return the same as a picture."""
+    rows = [
+        Row(f"{d.chosen.object_id}  {d.chosen.split}", d.pictures, d.captions)
+        for d in portraits(chosen_of(shards, objects), states=states)
+    ]
+    return sheet(rows)
 
 
 def portraits(
@@ -112,23 +102,19 @@ def portraits(
         CorruptShard: a shard cannot be read.
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        drawn = list(pool.map(lambda c: _object(c, states, pooling), chosen))
+        read = pool.map(lambda one: _read(one, states, pooling), chosen)
+        objects = list(zip(chosen, read, strict=True))
         widest: dict[str, list[Instance]] = {}
-        for picture in drawn:
-            widest.setdefault(picture.chosen.category, []).append(picture.instances[-1])
+        for one, (instances, _) in objects:
+            widest.setdefault(one.category, []).append(instances[-1])
         azimuth = {name: best_azimuth(evenly(many, ASKED)) for name, many in widest.items()}
-        cameras = [tile_camera(o.points, azimuth[o.chosen.category], size) for o in drawn]
-        tiles = [(o, i, c) for o, c in zip(drawn, cameras, strict=True) for i in o.instances]
-        pictures = pool.map(lambda t: portrait(t[0].discs, t[1], t[2], t[0].floor), tiles)
-    return [
-        Portraits(
-            o.chosen.object_id,
-            o.chosen.split,
-            o.instances,
-            tuple(next(pictures) for _ in o.instances),
-        )
-        for o in drawn
-    ]
+        tiles: list[tuple[Surfels, Instance, Camera, float]] = []
+        for one, (instances, discs) in objects:
+            points = np.concatenate([dequantize(i.surface_points) for i in instances])
+            camera = tile_camera(points, azimuth[one.category], size)
+            tiles += [(discs, i, camera, float(points[:, 2].min())) for i in instances]
+        drawn = pool.map(lambda tile: portrait(*tile), tiles)
+    return [Portraits(o, some, tuple(next(drawn) for _ in some)) for o, (some, _) in objects]
 
 
 def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
@@ -154,7 +140,8 @@ def some_of(every: Sequence[Chosen], count: int) -> list[Chosen]:
     return evenly(order, count)
 
 
-def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
+def _read(chosen: Chosen, states: int, pooling: int) -> tuple[tuple[Instance, ...], Surfels]:
+    """Return instances to draw, and discs in the canonical pose, from the points of many."""
     with ExitStack() as stack:
         paths = {path for path, _ in chosen.places}
         opened = {path: stack.enter_context(open_shard(path)) for path in paths}
@@ -162,8 +149,7 @@ def _object(chosen: Chosen, states: int, pooling: int) -> _Object:
         places = sorted(chosen.places, key=lambda place: moved[place[0]][place[1]])
         drawn, pool = evenly(places, states), evenly(places, pooling)
         read = {(p, index): opened[p].instance(index) for p, index in {*drawn, *pool}}
-    instances = tuple(read[place] for place in drawn)
-    return _Object(chosen, instances, pooled([read[place] for place in pool]))
+    return tuple(read[place] for place in drawn), pooled([read[place] for place in pool])
 
 
 def evenly(items: Sequence[T], count: int) -> list[T]:

@@ -119,7 +119,7 @@ def _facts_of(path: Path) -> Facts:
         rows: dict[str, list[int]] = {}
         for row, object_id in enumerate(shard.object_ids()):
             rows.setdefault(object_id, []).append(row)
-        small = {name: shard.read(name) for name in _SMALL if name in shard.fields}
+        small = {name: shard.read(name) for name in _SMALL}
         return Facts(
             objects=tuple(_object(shard, name, some, small) for name, some in rows.items()),
             about=dict(shard.attributes),

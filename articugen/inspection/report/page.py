@@ -8,7 +8,6 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -16,44 +15,24 @@ from pathlib import Path
 from articugen.core.content import VERSION
 from articugen.core.errors import InvalidArgument
 from articugen.core.files import check_place, write_atomically
-from articugen.inspection.likeness import Likeness, farthest, likeness
+from articugen.inspection.likeness import farthest, likeness
 from articugen.inspection.report import sections
 from articugen.inspection.report.facts import Facts, ObjectFacts, facts
 from articugen.inspection.report.markup import Markup, el
 from articugen.inspection.report.truth import Measured, measured
-from articugen.inspection.report.turnable import Turnable, turnable
-from articugen.pictures.contact_sheet import Chosen, Portraits, portraits, some_of
+from articugen.inspection.report.turnable import turnable
+from articugen.pictures.contact_sheet import Chosen, portraits, some_of
 from articugen.pictures.shading import Picture
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 
 OBJECTS, STATES = 12, 3  # of the contact sheet, unless more are asked for
 PICTURE = 168  # pixels along an edge of a picture on the sheet
 POOLED = 3  # instances whose points make a picture: it is smaller than a sheet's
+Section = tuple[str, str, Markup]  # its name, its title, what it says
 ICON = (
     "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg'%3E%3Crect width='16' height='16' "
     "fill='%23bb5566'/%3E%3C/svg%3E"
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """Content of a page.
-
-    Attributes:
-        path: the folder, or the shard.
-        manifest: of the folder; None of a shard or an unfinished folder.
-        sheet: the pictures; none where no surface is stored.
-        turnable: the object that can be turned, likewise.
-        alike: another set, and how alike its objects are.
-    """
-
-    path: Path
-    facts: Facts
-    manifest: Manifest | None
-    sheet: Sequence[Portraits]
-    turnable: Turnable | None
-    measured: Measured
-    alike: tuple[Path, Likeness] | None
 
 
 def write_report(
@@ -79,20 +58,27 @@ def write_report(
         MachineFault: `html` cannot be written.
     """
     check_html(html)
-    alike = None if beside is None else (beside, likeness(path, beside))
+    alike: list[Section] = []
+    if beside is not None:
+        compared = likeness(path, beside)
+        content = sections.alike(beside, compared, address(farthest(compared)))
+        alike = [("likeness", "Likeness", content)]
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
     about = facts(shards)
-    shown = drawable(str(about.about["category"]), about.objects)
-    report = Report(
-        path=path,
-        facts=about,
-        manifest=manifest,
-        sheet=portraits(some_of(shown, objects), states=states, pooling=POOLED, size=PICTURE),
-        turnable=turnable(about.objects),
-        measured=measured(about.objects, manifest),
-        alike=alike,
-    )
-    data = page(report).encode()
+    category = str(about.about["category"])
+    shown = some_of(drawable(category, about.objects), objects)
+    drawn = portraits(shown, states=states, pooling=POOLED, size=PICTURE)
+    pictures = {one.chosen.object_id: list(map(address, one.pictures)) for one in drawn}
+    turned = turnable(about.objects)
+    still = pictures.get(turned.object_id, [""])[0] if turned else ""
+    parts = sections_of(about, manifest, measured(about.objects, manifest), alike)
+    parts[1:1] = [
+        ("turn", "Turn it", sections.turning(turned, still)),
+        ("sheet", "Contact sheet", sections.sheet(drawn, pictures, about)),
+    ]
+    title, head = f"{category}: report of a data set", sections.header(path, about, manifest)
+    scene = turned.scene if turned else None
+    data = document(title, head, parts, "what the data set holds", scene=scene).encode()
     write_atomically(html, data)
     return len(data)
 
@@ -106,21 +92,10 @@ def drawable(category: str, objects: Sequence[ObjectFacts]) -> list[Chosen]:
     ]
 
 
-def page(report: Report) -> str:
-    """Return the report as a whole HTML document."""
-    return document(
-        f"{report.facts.about['category']}: report of a data set",
-        sections.header(report.path, report.facts, report.manifest),
-        sections_of(report),
-        "what the data set holds",
-        scene=report.turnable.scene if report.turnable else None,
-    )
-
-
 def document(
     title: str,
     header: Markup,
-    parts: Sequence[tuple[str, str, Markup]],
+    parts: Sequence[Section],
     basis: str,
     *,
     scene: object = None,
@@ -131,7 +106,7 @@ def document(
     """Return an HTML document that is complete in itself, or with files beside it.
 
     Args:
-        parts: name, title and content of each section.
+        parts: the sections.
         basis: what it is written from, for the footer.
         scene: what the script beside turns, if anything.
         scripts: files of this folder that are its script, one after the other.
@@ -186,24 +161,16 @@ def check_html(html: Path) -> None:
     check_place(html)
 
 
-def sections_of(report: Report) -> list[tuple[str, str, Markup]]:
-    """Return (name, title, what it says) of each."""
-    about, manifest = report.facts, report.manifest
+def sections_of(
+    about: Facts, manifest: Manifest | None, truth: Measured, alike: Sequence[Section] = ()
+) -> list[Section]:
+    """Return the sections without pictures of objects; `alike` those of a comparison."""
     every = about.objects
-    pictures = {p.object_id: list(map(address, p.pictures)) for p in report.sheet}
-    turned = report.turnable
-    still = pictures.get(turned.object_id, [""])[0] if turned else ""
-    alike = []
-    if report.alike:
-        picture = address(farthest(report.alike[1]))
-        alike = [("likeness", "Likeness", sections.alike(*report.alike, picture))]
     return [
         ("overview", "Overview", sections.overview(about, manifest)),
-        ("turn", "Turn it", sections.turning(turned, still)),
-        ("sheet", "Contact sheet", sections.sheet(report.sheet, pictures, about)),
         ("joints", "Joints", sections.joints(every)),
         ("parts", "Parts", sections.parts(every)),
-        ("truth", "Truth", sections.truth(report.measured)),
+        ("truth", "Truth", sections.truth(truth)),
         *alike,
         ("objects", "Objects", sections.objects(every, manifest)),
         ("left-out", "Left out", sections.left_out(manifest)),

@@ -93,13 +93,13 @@ def sheet(
     order = f"{which}: the canonical pose first, then random states, the farthest last."
     cards = []
     for portraits in drawn:
-        figures = []
-        for picture, caption in zip(pictures[portraits.object_id], portraits.captions, strict=True):
+        one, figures = portraits.chosen, []
+        for picture, caption in zip(pictures[one.object_id], portraits.captions, strict=True):
             states = [el("span", dot(colour), SPACE, state) for state, colour in caption]
-            alt = f"{portraits.object_id}, joints at {', '.join(state for state, _ in caption)}"
+            alt = f"{one.object_id}, joints at {', '.join(state for state, _ in caption)}"
             image = el("img", src=picture, alt=alt, width="168", height="168")
             figures.append(el("figure", image, el("figcaption", *states)))
-        title = el("h3", portraits.object_id, el("span", portraits.split))
+        title = el("h3", one.object_id, el("span", one.split))
         tiles = el("div", *figures, class_="tiles")
         cards.append(el("article", title, tiles, class_="card object"))
     return join(hint(order), el("div", *cards, class_="sheet"))
@@ -123,9 +123,7 @@ def joints(objects: Sequence[ObjectFacts]) -> Markup:
 
 def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
     unit = same[0].unit
-    shares = np.concatenate(
-        [(s.drawn - s.lower) / max(s.upper - s.lower, 1e-12) for s in same] or [np.zeros(0)]
-    )
+    shares = np.concatenate([(s.drawn - s.lower) / max(s.upper - s.lower, 1e-12) for s in same])
     ends = tuple(spread_text([getattr(s, end) for s in same], unit) for end in ("lower", "upper"))
     title = _common(Counter(s.name for s in same if s.name)) or f"joint {j}"
     beyond = int(np.sum((shares < -1e-6) | (shares > 1 + 1e-6)))

@@ -28,7 +28,7 @@ from articugen.core.schema import Instance
 from articugen.inspection.report import sections
 from articugen.inspection.report.facts import Facts, ObjectFacts, facts, merged
 from articugen.inspection.report.markup import Markup, el, hint, join, text
-from articugen.inspection.report.page import Report, document, drawable, sections_of, webp
+from articugen.inspection.report.page import Section, document, drawable, sections_of, webp
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import turnable
 from articugen.inspection.summary import shards_of
@@ -101,8 +101,16 @@ def site(
         whole = merged(about)
         instances = tuple(one for truth in truths for one in truth.instances)
         truth = Measured(instances, truths[0].why_not if truths else "")
-        report = Report(path, whole, manifest, (), None, truth, None)
-        index = _index(report, [tile for _, tile in sorted(tiles, key=lambda tile: tile[0])])
+        tiles.sort(key=lambda tile: tile[0])
+        every = join(
+            el("noscript", hint("Turning, search and order need JavaScript.")),
+            el("div", *(tile for _, tile in tiles), class_="wall"),
+        )
+        index = _document(
+            f"{whole.about['category']}: a data set",
+            sections.header(path, whole, manifest),
+            [("all", "All objects", every), *sections_of(whole, manifest, truth)],
+        )
         place.write(_INDEX, index)
         old = [name for name in place.list(_OBJECTS) if _OURS.fullmatch(whole_name(name) or name)]
         place.delete(f"{_OBJECTS}/{name}" for name in old if name not in written)
@@ -133,24 +141,11 @@ def _taken(folder: Path) -> tuple[Folder, int]:
     return place, lock
 
 
-def _document(title: str, header: Markup, parts: Sequence[tuple[str, str, Markup]]) -> bytes:
+def _document(title: str, header: Markup, parts: Sequence[Section]) -> bytes:
     return document(
         title, header, parts, "what the data set holds", scripts=("viewer.js", "site.js"),
         sources=SOURCES, complete="This folder is complete: it opens without a network.",
     ).encode()  # fmt: skip
-
-
-def _index(report: Report, tiles: Sequence[Markup]) -> bytes:
-    every = join(
-        el("noscript", hint("Turning, search and order need JavaScript.")),
-        el("div", *tiles, class_="wall"),
-    )
-    others = [one for one in sections_of(report) if one[0] not in ("turn", "sheet")]
-    return _document(
-        f"{report.facts.about['category']}: a data set",
-        sections.header(report.path, report.facts, report.manifest),
-        [("all", "All objects", every), *others],
-    )
 
 
 @dataclass(frozen=True, eq=False)

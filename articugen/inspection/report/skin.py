@@ -6,14 +6,11 @@ brought back to where the planes of the points around it meet (the quadric error
 "Dual contouring of Hermite data"): flat faces come out flat, and edges sharp.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
-from articugen.core.arrays import Floats
 from articugen.core.jit import helper, kernel
 from articugen.core.near import cells_of, near
+from articugen.core.records import Mesh
 from articugen.meshes.marching_cubes import zero_level
 from articugen.pictures.surfels import OrientedPoints
 
@@ -30,16 +27,8 @@ STIFF = 0.02
 MOST_SAMPLES = 150  # along the longest side of a part's grid
 
 
-@dataclass(frozen=True, eq=False)
-class Skin:
-    """A part's surface: `vertices` (V, 3), unit frame, canonical pose; `faces` (F, 3)."""
-
-    vertices: Floats
-    faces: NDArray[np.int32]
-
-
-def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
-    """Return the surface that the points (of one part, many a voxel) lie on.
+def skin(points: OrientedPoints, voxel: float, spacing: float) -> Mesh:
+    """Return the surface, unit frame, that the points (of one part, many a voxel) lie on.
 
     Args:
         voxel: the side of the grid's cells, unit frame; larger where a part has too many.
@@ -66,7 +55,7 @@ def skin(points: OrientedPoints, voxel: float, spacing: float) -> Skin:
     order = np.argsort(first)
     place = np.empty(len(used), np.int32)
     place[order] = np.arange(len(used), dtype=np.int32)
-    return Skin(at[used[order]], place[number].reshape(-1, 3))
+    return Mesh(at[used[order]], place[number].reshape(-1, 3))
 
 
 @kernel

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from articugen.core.colours import colour_of
 from articugen.core.errors import printable
 from articugen.core.geometry import invert_rigid
-from articugen.core.records import JointKind, dequantize
+from articugen.core.records import JointKind, Mesh, dequantize
 from articugen.core.schema import Instance
 from articugen.inspection.report.facts import JointStates, ObjectFacts, range_text
-from articugen.inspection.report.skin import Skin, skin
+from articugen.inspection.report.skin import skin
 from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.portrait import AJAR, best_azimuth, oriented_points, swept
 from articugen.pictures.surfels import OrientedPoints
@@ -33,15 +33,9 @@ FEWEST = 50  # points that a part needs to be drawn
 
 @dataclass(frozen=True, eq=False)
 class Turnable:
-    """Attributes:
-    object_id, split: which object.
-    canonical: its first instance.
-    scene: what viewer.js reads, ready for JSON.
-    """
+    """An object as a `scene`: what viewer.js reads, ready for JSON."""
 
     object_id: str
-    split: str
-    canonical: Instance
     scene: dict[str, Any]
 
 
@@ -93,7 +87,7 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
         ],
         "meshes": packed(parts),
     }
-    return Turnable(chosen.object_id, chosen.split, first, scene)
+    return Turnable(chosen.object_id, scene)
 
 
 def _slider(joint: JointStates, j: int, start: int) -> dict[str, Any]:
@@ -115,19 +109,19 @@ def _moved(instance: Instance) -> float:
     return float(np.sum(np.abs(instance.joint_state) / np.where(span > 0.0, span, 1.0)))
 
 
-def _skin_of(clouds: Sequence[OrientedPoints], part: int) -> Skin:
+def _skin_of(clouds: Sequence[OrientedPoints], part: int) -> Mesh:
     points, normals = (
         np.concatenate([getattr(cloud, name)[cloud.part == part] for cloud in clouds])
         for name in ("points", "normals")
     )
     if len(points) < FEWEST:
-        return Skin(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     one = OrientedPoints(points, normals, np.full(len(points), part, np.uint8))
     spacing = one.spacing()
     return skin(one, max(VOXEL, SPARSE * spacing), spacing)
 
 
-def packed(parts: Sequence[Skin]) -> str:
+def packed(parts: Sequence[Mesh]) -> str:
     """Return the meshes in base64: of each the coordinates x, y, z of its vertices as 16-bit fixed
     point over [-1, 1], then the numbers of its faces' corners in 32 bits."""
     pieces: list[bytes] = []
