@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from articugen.sources.fetch.target import Fetched
 
 
-@offered("articugen sources", "articugen sources --write models", name="sources")
-def list_sources(
+@offered("articugen sources", "articugen sources --write models")
+def sources(
     write: Path | None = option(
         None, "Write the bundled models below this folder as URDFs.", show_default=False
     ),
@@ -37,10 +37,9 @@ def list_sources(
     "articugen fetch partnet-mobility --category Laptop --out models/partnet",
     "articugen fetch partnet-mobility --ids 10040,10101 --via sapien --out models/partnet",
     "articugen fetch shape2motion --from Shape2Motion.zip --out models/shape2motion",
-    name="fetch",
     interrupted="interrupted; the same command goes on",
 )
-def fetch_models(
+def fetch(
     source: str = argument(
         "partnet-mobility; with --from also shape2motion, articraft, artiverse, "
         "artiatlas, artvip or sketchmobility."
@@ -64,13 +63,13 @@ def fetch_models(
     ),
 ) -> int:
     """Get models of others, check them and list them; called again it goes on."""
-    from articugen.sources.fetch.door import fetch
+    from articugen.sources.fetch.door import fetch as bring
     from articugen.sources.fetch.terms import terms_of
 
     terms = terms_of(source)
     say(f"{terms.origin}\n", ("terms:", "bold"), f" {terms.licence}")
     with counting_bar() as count_file:
-        done = fetch(
+        done = bring(
             source,
             out,
             category=category,

@@ -29,7 +29,7 @@ THREADS = option(0, "CPU threads; 0 leaves it to torch.", min=0)
 
 
 def offered(
-    *examples: str, name: str | None = None, interrupted: str = "interrupted", **settings: Any
+    *examples: str, interrupted: str = "interrupted", **settings: Any
 ) -> Callable[[Callable[..., int | None]], Callable[..., None]]:
     """Return a decorator: a function becomes a command of its name, which ends with the exit status
     that it returns, and with our errors in one sentence.
@@ -62,7 +62,7 @@ def offered(
         parameters = [*map(_parameter, wanted)]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {p.name: p.annotation for p in parameters}
-        app.command(name, epilog=epilog, **settings)(called)
+        app.command(epilog=epilog, **settings)(called)
         return called
 
     return decorated
