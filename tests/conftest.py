@@ -78,6 +78,14 @@ def boxes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return write_boxes(folder, **getattr(request.module, "BOXES", {}))
 
 
+@pytest.fixture(scope="session")
+def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of two bundled laptops, whose models can be made again; nobody writes into it."""
+    from exports import generated  # noqa: PLC0415 - what few tests need
+
+    return generated("laptop", tmp_path_factory.mktemp("laptops"), objects=2, states=2)
+
+
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     with browser() as opened:

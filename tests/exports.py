@@ -1,6 +1,6 @@
-"""Data sets to export, and what tests of exports compare with: boxes in closed form, made laptops.
+"""Data sets to export, and what tests of exports compare with: boxes in closed form, made objects.
 
-Fixtures are taken by name: `boxes, rows = exports.boxes, exports.rows`.
+Boxes and fixtures are taken by name: `BOXES, rows = exports.BOXES, exports.rows`.
 """
 
 from pathlib import Path
@@ -9,19 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from instances import RICH
-from ppd_data import write_boxes
 
 import articugen as ag
 from articugen.export.items import Options
 from articugen.export.parts import part_meshes
 
+BOXES = {"train": 2, "test": 1, "states": 2, "recipe": RICH}  # for `conftest.boxes`
 MESHES = {"from_grids": True}
-
-
-@pytest.fixture(scope="module")
-def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "box"
-    return write_boxes(folder, train=2, test=1, states=2, recipe=RICH)
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +37,6 @@ def exported(boxes: Path, tmp_path_factory: pytest.TempPathFactory):
         return made[key]
 
     return export
-
-
-@pytest.fixture(scope="module")
-def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two procedural laptops, whose models can be made again."""
-    return generated("laptop", tmp_path_factory.mktemp("laptops"), objects=2, states=2)
 
 
 def generated(

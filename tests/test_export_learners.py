@@ -31,7 +31,7 @@ from articugen.export.items import Options
 from articugen.export.parts import part_boxes, part_meshes
 from articugen.meshes.points import numbers_of_file
 
-boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
+BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 
 @pytest.fixture(scope="module")

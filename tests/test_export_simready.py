@@ -10,7 +10,7 @@ from PIL import Image
 
 import articugen as ag
 
-boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
+BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 
 def test_a_lid_rests_opens_by_a_push_and_stays_within_its_limits(laptops, tmp_path):

@@ -19,7 +19,7 @@ from articugen.core.geometry import apply, invert_rigid, rotation_about, transfo
 from articugen.core.records import is_material
 from articugen.export.parts import metric_joints
 
-boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
+BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 SLOWS = ("damping", "friction")
 

@@ -18,7 +18,7 @@ from trouble import small_disk
 import articugen as ag
 from articugen.core.errors import MachineFault
 
-boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
+BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from articugen.sources.readers import digest
 from articugen.sources.source import load_path, open_source
 from tests.mjcf_oracle import compare, in_mujoco, posed
 
-boxes, rows, exported, laptops = exports.boxes, exports.rows, exports.exported, exports.laptops
+BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 WEDGE = ((0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3), (1, 0, 3))
 SIDES = ((0, 2, 1), (0, 1, 4), (0, 4, 3), (0, 3, 2), (1, 2, 4), (2, 3, 4))
