@@ -3,6 +3,8 @@
 A line of a laptop's edge, of a lens or of a door starts here; `solids` gives it a third dimension.
 """
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -91,20 +93,15 @@ def convex_pieces(outline: Floats) -> list[list[int]]:
     1983): at most four times as many pieces as needed.
     """
     pieces = _ears(outline)
-    merged = True
-    while merged:
-        merged = False
-        for i in range(len(pieces)):
-            for j in range(i + 1, len(pieces)):
-                union = _union(pieces[i], pieces[j])
-                if union is not None and _is_convex(outline[union]):
-                    pieces[i] = union
-                    del pieces[j]
-                    merged = True
-                    break
-            if merged:
-                break
-    return pieces
+    while True:
+        pairs = combinations(range(len(pieces)), 2)
+        unions = ((i, j, _union(pieces[i], pieces[j])) for i, j in pairs)
+        convex = ((i, j, union) for i, j, union in unions if union and _is_convex(outline[union]))
+        i, j, union = next(convex, (0, 0, None))
+        if union is None:
+            return pieces
+        pieces[i] = union
+        del pieces[j]
 
 
 def _turn(a: Floats, b: Floats, c: Floats) -> float:

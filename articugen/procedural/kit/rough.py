@@ -171,8 +171,8 @@ class _Rough:
 def _shrunken(solid: Solid, size: float) -> Floats:
     """Return (n, 3, 3) faces of each cell of a solid, drawn together towards the cell's middle."""
     triangles = []
-    for cell in solid.cells:
-        middle = solid.vertices[sorted({v for face in cell for v in face})].mean(axis=0)
+    for cell, corners in zip(solid.cells, solid.cell_corners, strict=True):
+        middle = corners.mean(axis=0)
         fans = [(f[0], f[k], f[k + 1]) for f in cell for k in range(1, len(f) - 1)]
         triangles.append(middle + size * (solid.vertices[np.array(fans)] - middle))
     return np.concatenate(triangles)

@@ -94,8 +94,7 @@ class Solid:
         planes = _planes(self.vertices, [face for cell in self.cells for face in cell])
         ends = np.cumsum([len(cell) for cell in self.cells])[:-1]
         by_cell = tuple(np.split(planes, ends))
-        for cell, behind in zip(self.cells, by_cell, strict=True):
-            corners = self.vertices[sorted({v for face in cell for v in face})]
+        for corners, behind in zip(self.cell_corners, by_cell, strict=True):
             over = np.max(product(corners, behind[:, :3].T) - behind[:, 3])
             if over > FLAT:
                 raise ValueError(
@@ -103,11 +102,15 @@ class Solid:
                 )
         return by_cell
 
+    @property
+    def cell_corners(self) -> list[Floats]:
+        """(n, 3) the vertices of each cell."""
+        return [self.vertices[sorted({v for face in cell for v in face})] for cell in self.cells]
+
     @cached_property
     def cell_bounds(self) -> Floats:
         """(cells, 2, 3) the box around each cell."""
-        used = [self.vertices[sorted({v for face in cell for v in face})] for cell in self.cells]
-        return np.array([[points.min(axis=0), points.max(axis=0)] for points in used])
+        return np.array([[c.min(axis=0), c.max(axis=0)] for c in self.cell_corners])
 
     @property
     def volume(self) -> float:
