@@ -102,8 +102,9 @@ def moving_part(
 def first_sound(draw: Callable[[], Model]) -> Model:
     """Return the first model that is drawn with convex cells, which outlines that cross have not;
     a draw may also give up by ValueError."""
-    while True:
+    for _ in range(1000):
         with suppress(ValueError):
             model = draw()
             if all(len(s.half_spaces) for link in model.links for s in link.solids):
                 return model
+    raise ValueError("none of 1,000 draws is sound")
