@@ -1,11 +1,14 @@
 """Comparisons: equal time for all, what is finished stays, what was stopped resumes."""
 
+import os
+import re
 import signal
 from pathlib import Path
 
 import pytest
 from ppd_data import write_boxes
 from python_process import ended
+from test_workers import children
 
 torch = pytest.importorskip("torch", reason="learning needs torch")
 
@@ -88,6 +91,26 @@ def test_a_comparison_that_was_killed_resumes_and_one_that_refuses_is_a_dash(tmp
     text = compare("boxes", "list.yaml", **again).text
     assert "Not trained: few points: " in text
     assert "is of another recipe few points; move" in text
+
+
+def test_of_a_worker_that_is_killed_one_reads_at_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_boxes(tmp_path / "boxes", train=3, test=1, states=1)
+    (tmp_path / "list.yaml").write_text("- one_part\n")
+    sentences, killed = [], []
+
+    def kill_once(_):
+        if not killed:
+            killed.extend(children(os.getpid(), 1))
+            os.kill(killed[0], signal.SIGKILL)
+
+    compare(
+        "boxes", "list.yaml", minutes=0.03, runs="runs", states=1, jobs=2, on_progress=kill_once,
+        on_done=sentences.append,
+    )  # fmt: skip
+    lost, finished = sentences
+    assert re.match("a worker was killed .* at one_part, which is tried once more at the end", lost)
+    assert finished == "one_part: finished"
 
 
 def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):

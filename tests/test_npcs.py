@@ -299,6 +299,14 @@ def test_unfit_data_are_refused_before_training(tmp_path, how, sentence):
         train(Training(plan(parts=how.get("parts", 3)), "box", data, tmp_path / "runs"))
 
 
+def test_points_of_grids_are_not_needed_and_hinder_nobody(boxes, tmp_path):
+    recipe = plan(2)
+    data = recipe.data.model_copy(update={"grid_points": 8})
+    recipe = recipe.model_copy(update={"data": data})
+    run = train(Training(recipe, category="box", data=boxes, runs=tmp_path / "runs"))
+    assert run.metrics()[-1]["validation"]["loss"] > 0
+
+
 def test_it_resumes_exactly(boxes, tmp_path):
     resumed_exactly(Training(plan(6), category="box", data=boxes, runs=tmp_path / "runs"), 3)
 

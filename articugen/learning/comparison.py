@@ -129,7 +129,7 @@ def compare(
         seeds: how many of each recipe, from 0.
         states: random states an object, in votes and tests; None is all.
         jobs: recipes at a time, each on one thread.
-        on_done: called with a sentence for each recipe.
+        on_done: called with a sentence for each recipe, and where a worker was lost.
 
     Raises:
         InvalidRecipe: the list, or a recipe in it.
@@ -153,7 +153,7 @@ def compare(
     workers = 0 if jobs == 1 else jobs if device == "cpu" else 1
     with Crew(
         Entry.run, workers=workers, ready=partial(commands.prepare, threads=1),
-        on_report=on_progress,
+        on_report=on_progress, notice=on_done,
         name=lambda entry: entry.what.recipe.name,
     ) as crew:  # fmt: skip
         for ended in crew.each(entries):

@@ -76,7 +76,8 @@ class NPCSLearner(NetworkLearner):
         rows = np.linspace(0, len(held_out) - 1, min(VALIDATED, len(held_out))).astype(int)
         rng = torch.Generator(self.device)
         rng.manual_seed(0)
-        batch = held_out.batch(rows.tolist(), self.inputs, 0, rng)
+        resolution = self.settings.schedule.stages[0].resolution
+        batch = held_out.batch(rows.tolist(), self.inputs, resolution, rng)
         boxes = boxes_of(held_out, self.network.parts)
         self.network.eval()
         coordinate, label = map(float, errors(self.network(batch.cloud), batch, boxes))
