@@ -121,6 +121,20 @@ def test_folder_of_urdfs_in_many_layouts(tmp_path):
     assert len(ids(open_source(tmp_path).objects("anything", objects=2), "test")) == 1
 
 
+def test_a_urdf_that_lies_too_deep_is_named(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path)
+    folder = tmp_path / "a" / "b" / "c" / "d"
+    for name in ("no.obj", "e.URDF"):
+        add(folder / name)
+        with pytest.raises(InvalidSource) as caught:
+            open_source(tmp_path).objects("lamp")
+        told = " up to three folders down in what is in it, though {} lies deeper"
+        told = told.format(folder / name) if name == "e.URDF" else ""
+        assert f"{tmp_path}: holds no URDF, MJCF or USD{told}; put each model" in str(caught.value)
+    add(folder.parent / "f.urdf")
+    assert ids(open_source(tmp_path).objects("lamp")) == ["a"]
+
+
 def test_single_file_and_category_folder(tmp_path):
     path = add(tmp_path / "lamp" / "a.urdf")
     add(tmp_path / "chair" / "b.urdf")

@@ -2,7 +2,9 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from os.path import isdir
 from pathlib import Path
 
@@ -60,10 +62,20 @@ def in_folder(path: Path, file: SourceFile, category: str) -> list[Found]:
             raise unknown(str(path), category, known + [NO_CATEGORY] * bool(others))
     if not models:
         raise InvalidSource(
-            f"{path}: holds no URDF, MJCF or USD; put each model there as <id>.urdf, <id>.usd or "
-            "<id>/<any name>.urdf"
+            f"{path}: holds no URDF, MJCF or USD{_too_deep(path)}; put each model there as "
+            "<id>.urdf, <id>.usd or <id>/<any name>.urdf"
         )
     return models
+
+
+def _too_deep(base: Path) -> str:
+    """Return words on a URDF that lies farther down than models are looked for, if there is one
+    among the first things in a folder; no link is followed."""
+    with suppress(RecursionError):  # at a tree of folders that is no data set
+        for path in islice(base.rglob("*"), 100_000):
+            if len(path.relative_to(base).parts) > _DEEP + 1 and urdf_files.detect(path):
+                return f" up to three folders down in what is in it, though {path} lies deeper"
+    return ""
 
 
 def mixed_models(base: Path, file: SourceFile) -> Iterator[Found]:
