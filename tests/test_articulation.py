@@ -459,9 +459,22 @@ def test_after_a_state_one_joint_alone_is_drawn_anew():
     obj = resolve(tree(joint("a"), joint("b"), joint("c")), Articulation())
     before = JointState(np.array([0.1, 0.2, 0.3]))
     for turn in range(4):
-        plain = sample_joint_state(obj, rng=np.random.default_rng(turn)).q
         q = sample_joint_state(obj, rng=np.random.default_rng(turn), before=before, turn=turn).q
-        np.testing.assert_array_equal(q, np.where(np.arange(3) == turn % 3, plain, before.q))
+        np.testing.assert_array_equal(q != before.q, np.arange(3) == turn % 3)
+
+
+@pytest.mark.parametrize("at", [-0.5, 0.0, 0.2, 0.5, 0.9, 1.0])
+def test_from_a_state_a_joint_goes_a_step_of_its_range_at_least(at):
+    """Uniform in what is left of it, whatever the joint's place; 0.3 as in Ditto's own scenes."""
+    lid = joint("lid", "prismatic", limits=(0.0, 2.0))
+    obj, rng = resolve(tree(lid), Articulation(clip_to_limits=True)), np.random.default_rng(0)
+    before = JointState(np.array([2.0 * at]))
+    q = np.array([sample_joint_state(obj, rng=rng, before=before).q[0] for _ in range(2000)]) / 2.0
+    assert np.abs(q - at).min() >= 0.3
+    left = np.linspace(0.0, 1.0, 100_001)
+    left = left[np.abs(left - at) >= 0.3]
+    share = np.linspace(0.05, 0.95, 18)
+    np.testing.assert_allclose(np.quantile(q, share), np.quantile(left, share), atol=0.06)
 
 
 def test_one_generator_gives_one_state():

@@ -38,7 +38,7 @@ FORMS = {"varied": 3, "rough": 2}  # the same for all models drawn, or written, 
 
 KEYS = {
     "partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1, "surface_color": 1,
-    "colours": 1,
+    "colours": 1, "one_at_a_time": 1,
 }  # fmt: skip
 """The same for recipes that have such a key."""
 

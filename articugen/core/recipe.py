@@ -29,6 +29,8 @@ MAX_TEXT_BYTES = 32_000
 MAX_INSTANCE_BYTES = 1 << 27  # of an instance in memory: some are held at once
 MAX_PIXELS = 1 << 28  # of all views together, 4 bytes each
 MOST_PARTS = 255
+LEAST_STEP = 0.3
+"""Share of a joint's range: `--range-scale` of Ditto's published generate_data_seg.py."""
 
 _Pattern = Annotated[str, Field(min_length=1, max_length=255)]
 _Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0)]
@@ -40,8 +42,8 @@ class Articulation(_Section):
 
     Attributes:
         states: random joint states per object, besides instance 0, the canonical pose.
-        one_at_a_time: in each only one joint is not as in the state before, each in its turn, as
-            Ditto's scenes want it.
+        one_at_a_time: in each only one joint is not as in the state before, each in its turn, but
+            `LEAST_STEP` of its range from there, as Ditto's scenes want it.
         canonical: which URDF joint value is the canonical pose (q = 0); `source` asks source.yaml.
         revolute_degrees: the range sampled from, relative to the canonical pose; also the limits
             of continuous joints and of joints without any.

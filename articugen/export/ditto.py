@@ -1,8 +1,8 @@
 """Ditto's scenes: an object before and after one joint moved, seen by depth cameras.
 
 <split>/scenes/<object>_<state>_<state>.npz for each two neighbouring states between which one joint
-alone moves. Their occupancy is of two parts then, as in their data of several joints: what stays,
-and what moves.
+alone moves, by `LEAST_STEP` of its range at least. Their occupancy is of two parts then, as in
+their data of several joints: what stays, and what moves.
 """
 
 from itertools import pairwise
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from articugen.core.arrays import Bools, Bytes
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, invert_rigid
+from articugen.core.recipe import LEAST_STEP
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, file_name, of_objects
 from articugen.export.labels import need
@@ -32,25 +33,30 @@ def _write(item: Item, target: Target) -> None:
         raise LeftOut(f"{first.object_id}: one state; Ditto's scenes are of two")
     need(first, "partial", 1)
     split, name = file_name(first.split), file_name(first.object_id)
-    pairs = [(a, b) for a, b in pairwise(rows) if len(_moved(a, b)) == 1]
+    pairs = [(a, b, j) for a, b in pairwise(rows) if (j := _moved(a, b)) is not None]
     if not pairs:
         raise LeftOut(
-            f"{first.object_id}: in no two neighbouring states one joint alone moves, as in "
-            "Ditto's scenes; make the data with articulation.one_at_a_time"
+            f"{first.object_id}: in no two neighbouring states one joint alone moves, by "
+            f"{LEAST_STEP:g} of its range, as in Ditto's scenes; make the data with "
+            "articulation.one_at_a_time"
         )
-    for start, end in pairs:
+    for start, end, j in pairs:
         scene = f"{name}_{start.state_index:04d}_{end.state_index:04d}"
-        target.write_arrays(f"{split}/scenes/{scene}.npz", _scene(start, end))
+        target.write_arrays(f"{split}/scenes/{scene}.npz", _scene(start, end, j))
 
 
-def _moved(start: Row, end: Row) -> list[int]:
-    """Return the joints whose states differ, to the last digit."""
-    both = zip(start.joints, end.joints, strict=True)
-    return [j for j, (a, b) in enumerate(both) if a.state_unit != b.state_unit]
+def _moved(start: Row, end: Row) -> int | None:
+    """Return the joint whose state alone differs, to the last digit, and by enough; or None."""
+    both = list(zip(start.joints, end.joints, strict=True))
+    moved = [j for j, (a, b) in enumerate(both) if a.state_unit != b.state_unit]
+    if len(moved) != 1:
+        return None
+    a, b = both[moved[0]]
+    is_far = abs(b.state_unit - a.state_unit) >= LEAST_STEP * (a.upper_unit - a.lower_unit)
+    return moved[0] if is_far else None
 
 
-def _scene(start: Row, end: Row) -> dict[str, NDArray]:
-    (j,) = _moved(start, end)
+def _scene(start: Row, end: Row, j: int) -> dict[str, NDArray]:
     joint = start.joints[j]
     both = zip(start.parts, end.parts, strict=True)
     moving = np.array([not np.array_equal(a.motion, b.motion) for a, b in both])

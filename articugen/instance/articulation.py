@@ -16,7 +16,7 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import NotOfCategory, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.core.portable import product, turned
-from articugen.core.recipe import Articulation
+from articugen.core.recipe import LEAST_STEP, Articulation
 from articugen.core.records import (
     ArticulatedObject,
     Joint,
@@ -128,15 +128,26 @@ def sample_joint_state(
     """Draw a joint state of a resolved object: each driver uniform in its range, the others follow.
 
     Draws one number a driver, in part order. Of these only that of driver `turn`, counted round,
-    replaces what the state `before` has, if there is one.
+    replaces what the state `before` has, if there is one; it is then uniform in what of the range
+    is `LEAST_STEP` of that away from there.
     """
     drivers = [joint for joint in obj.moving_joints if joint.mimic is None]
     q = {j.name: rng.uniform(j.lower, j.upper) for j in drivers}
     if before is not None:
-        only = drivers[turn % len(drivers)].name
-        known = zip([joint.name for joint in obj.moving_joints], before.q.tolist(), strict=True)
-        q = {**dict(known), only: q[only]}
+        only = drivers[turn % len(drivers)]
+        known = dict(zip([j.name for j in obj.moving_joints], before.q.tolist(), strict=True))
+        q = known | {only.name: _far_from(known[only.name], q[only.name], only)}
     return driven_state(obj, q)
+
+
+def _far_from(before: float, drawn: float, joint: Joint) -> float:
+    """Return where a joint goes from `before`, by what was drawn uniformly in its range."""
+    size = joint.upper - joint.lower
+    least = LEAST_STEP * size
+    below = max(min(before - least, joint.upper) - joint.lower, 0.0)
+    left = below + max(joint.upper - max(before + least, joint.lower), 0.0)
+    way = left * (drawn - joint.lower) / (size or 1.0)
+    return joint.lower + way if way < below else joint.upper - (left - way)
 
 
 def forward_kinematics(obj: ArticulatedObject, state: JointState) -> PosedObject:
