@@ -350,6 +350,21 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
             "not what describes",
         ),
         ("rbo", "../../../objects/laptop/*-10-20/*", "part0", "part7", "part7.stl"),
+        ("rbo", "../../../objects/laptop/*-10-20/*", '"1"', ".inf", "not what describes"),
+        ("rbo", "../../../objects/laptop/*-10-20/*", "xyz='[^ ]*", "xyz='1e300", "rb0 is far away"),
+        ("rbo", "camera_depth*/*.txt", "(?s).+", "", "it is empty"),
+        ("rbo", "*_info.csv", ",[1-9][^,]*,0", ",0,0", "no focal lengths and centre"),
+        ("rbo", "rb_poses_array.csv", "\n", "\rx\n", "no table"),
+        ("rbo", "rb_poses_array.csv", ",5,[^,]*", ",5,1e300", "no image has a pose of every part"),
+        (
+            "rbo",
+            "rb_poses_array.csv",
+            r"(?<=\d),[^,\n]*\n",
+            ",inf\n",
+            "no image has a pose of every part",
+        ),
+        ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nnan", "no pose"),
+        ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\n1e300", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nx", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]* ", "center:\n", "no pose"),
         ("aod", "mask/*_001.png", "", "", "no picture of depths or parts"),
@@ -365,6 +380,22 @@ def test_what_is_broken_is_refused_in_a_sentence(layout, name, old, new, reason,
         broken(folder, name, old, new)
     with pytest.raises(InvalidSource, match=reason):
         read_recording(folder, 10)
+
+
+@pytest.mark.parametrize("seconds", ["nan", "1e30", "soon"])
+def test_a_name_that_is_no_time_is_refused(seconds, tmp_path):
+    folder = tmp_path / "objects" / "laptop" / "laptop01_o"
+    (folder / "camera_depth_registered").mkdir(parents=True)
+    (folder / "camera_depth_registered" / f"0-{seconds}.txt").write_text("1")
+    with pytest.raises(InvalidSource, match="its name is not <index>-<seconds>"):
+        read_recording(folder, 10)
+
+
+def test_an_image_of_nothing_near_has_no_points_of_parts(tmp_path, plain):
+    folder = write_rbo(plain, tmp_path)
+    path = min(folder.glob("camera_depth*/*.txt"))
+    path.write_text("\n".join(["900 " * 640] * 480))
+    assert set(read_recording(folder, 10).frames[0].part) == {BACKGROUND}
 
 
 def test_images_without_a_part_are_left_out(tmp_path, plain):

@@ -26,7 +26,7 @@ def distance(points: Floats, triangles: Floats) -> Floats:
 
     Points count as triangles whose corners coincide.
     """
-    if not len(triangles):
+    if not len(triangles) or not len(points):
         return np.full(len(points), np.inf)
     order = np.argsort(_along_a_curve(points))  # what is near the last one is near the next
     far = np.empty(len(points))

@@ -12,6 +12,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from PIL import Image
 
 from articugen.core.content import RECIPES, SOURCES
 from tests.published import model_files, zipped
@@ -25,6 +26,30 @@ BETWEEN = b"\n---\n"
 def objs() -> Iterable[bytes]:
     """One that is long enough for the compiled reader."""
     yield b"".join(b"v %d 0.5 -1e-3\n" % i for i in range(1100)) + b"f 1 2 3\nf -1 -2/3 1\n" * 20
+
+
+def looks() -> Iterable[bytes]:
+    """A mesh with materials, one of them of a texture."""
+    obj = b"mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 2 0\nvt 0 1.5\n"
+    obj += b"usemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 1/-3 -2 -1\n"
+    mtl = b"newmtl a\nKd 1 .5 0\nmap_Kd -s 1 1 1 t.png\nnewmtl b\nKd 0.2\n"
+    for kind in ("PNG", "JPEG", "BMP", "TGA", "WEBP"):
+        picture = _picture(np.arange(48, dtype=np.uint8).reshape(4, 4, 3), kind)
+        yield BETWEEN.join([obj, mtl, picture])
+
+
+def aods() -> Iterable[bytes]:
+    """One image of two parts, half a metre away."""
+    info = b"rotation:\n1 0 0\n0 1 0\n0 0 1\ncenter:\n0 0 -0.5\nextent:\n0.3 0.2 0.02\n"
+    part = np.repeat(np.arange(2, dtype=np.uint8), 8)[None].repeat(16, 0)
+    masks = [_picture(mask, "PNG") for mask in (1 - part, part)]
+    yield BETWEEN.join([info, info, *masks, _picture(np.full((16, 16), 500, np.uint16), "PNG")])
+
+
+def _picture(pixels: Any, kind: str) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, kind)
+    return file.getvalue()
 
 
 def recipes() -> Iterable[bytes]:

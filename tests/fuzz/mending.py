@@ -6,6 +6,7 @@ import hashlib
 import json
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,20 @@ def glb(data: bytes) -> bytes:
     end = data.find(b"BIN\0", 20)
     end = len(data) if end < 24 else end - 4
     return b"".join([data[:8], struct.pack("<II", len(data), end - 20), data[16:end], data[end:]])
+
+
+def pngs(data: bytes) -> bytes:
+    """The checksums of all PNGs in it."""
+    image, at = bytearray(data), -1
+    while (at := image.find(b"\x89PNG\r\n\x1a\n", at + 1)) >= 0:
+        chunk = at + 8
+        while chunk + 12 <= len(image):
+            end = chunk + 8 + int.from_bytes(image[chunk : chunk + 4], "big")
+            if end + 4 > len(image):
+                break
+            image[end : end + 4] = zlib.crc32(image[chunk + 4 : end]).to_bytes(4, "big")
+            chunk = end + 4 if image[chunk + 4 : chunk + 8] != b"IEND" else len(image)
+    return bytes(image)
 
 
 def checkpoint(data: bytes) -> bytes:

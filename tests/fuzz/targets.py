@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
+
 from articugen.core.errors import (
     ArticugenError,
     CorruptShard,
@@ -119,21 +121,83 @@ def _read_shape2motion(path: Path) -> object:
     return load(ref, CategorySettings())
 
 
+def _laid(path: Path, names: Sequence[str]) -> None:
+    """Several files, one input: what lies between lines of dashes is one of them each."""
+    pieces = path.read_bytes().split(making.BETWEEN, len(names) - 1)
+    for number, name in enumerate(names):
+        (path.parent / name).write_bytes(b"".join(pieces[number : number + 1]))
+
+
+def _files(*names: str) -> Callable[[Path], None]:
+    def around(folder: Path) -> None:
+        for name in names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(b"")
+
+    return around
+
+
 def _read_partnet(path: Path) -> object:
-    """The files beside a URDF, one input: what lies between lines of dashes is one of them each."""
     from articugen.sources.folders import meta_category
     from articugen.sources.partnet_mobility import load
     from articugen.sources.refs import CategorySettings, ObjectRef
 
-    pieces = path.read_bytes().split(making.BETWEEN, 2)
-    for name, piece in zip(_BESIDE, [*pieces, b"", b""], strict=False):
-        (path.parent / name).write_bytes(piece)
+    _laid(path, _BESIDE)
     meta_category(path.parent)
     ref = ObjectRef("partnet_mobility", "cabinet", "1", "train", path.parent)
     return load(ref, CategorySettings(model_cat=("Storage",)))
 
 
 _BESIDE = ("mobility_v2.json", "semantics.txt", "meta.json")
+
+
+def _read_looks(path: Path) -> object:
+    """Textures as the process of their own decodes them, in this one: None is what is refused."""
+    from articugen.meshes import looks, pixels
+    from articugen.meshes.read import read_mesh
+
+    def decoded(data: bytes) -> np.ndarray | None:
+        try:
+            raw = pixels.reduced(data)
+        except Exception:  # whatever a decoder meets
+            return None
+        width, height = np.frombuffer(raw, np.uint32, 2)
+        return np.frombuffer(raw, np.uint8, offset=8).reshape(height, width, 3)
+
+    _laid(path, _LOOKS)
+    with mock.patch.object(looks, "decoded", decoded), looks.with_looks(wanted=True) as reader:
+        return read_mesh(path.parent / _LOOKS[0]).colours, reader.notes()
+
+
+_LOOKS = ("m.obj", "m.mtl", "t.png")
+
+
+def _read_recording(folder: str, names: Sequence[str]) -> Callable[[Path], object]:
+    def read(path: Path) -> object:
+        from articugen.evaluation.recorded import read_recording
+
+        _laid(path, names)
+        return read_recording(path.parent / folder, 2)
+
+    return read
+
+
+_RBO, _AOD = "interactions/laptop/laptop01_o", "test/Laptop_Seq_1"
+_IN_RBO = (
+    *("objects/laptop/configuration_2016-10-01/laptop_in.yaml", f"{_RBO}/tf.csv"),
+    *(f"{_RBO}/{name}.csv" for name in ("rb_poses_array", "camera_depth_registered_camera_info")),
+    f"{_RBO}/camera_depth_registered/00000-1477656000.5.txt",
+)
+_IN_AOD = (
+    *(f"{_AOD}/info/info_0_{part:03d}.txt" for part in range(2)),
+    *(f"{_AOD}/mask/0_{part:03d}.png" for part in range(2)),
+    f"{_AOD}/depth_filled/0.png",
+)
+
+
+def _rbo_around(folder: Path) -> None:
+    _files(*_IN_RBO)(folder)
+    (folder / "objects" / "laptop" / "t.obj").write_text(TRIANGLE)
 
 
 def _read_usd(path: Path) -> object:
@@ -161,8 +225,7 @@ def _meshes_around(folder: Path) -> None:
 def _partnet_around(folder: Path) -> None:
     _meshes_around(folder)
     shutil.copy(DATA / "urdf" / "partnet.urdf", folder / "mobility.urdf")
-    for name in _BESIDE:
-        (folder / name).write_bytes(b"")
+    _files(*_BESIDE)(folder)
 
 
 # --- settings
@@ -379,6 +442,33 @@ _IN_YAML = (
     *(b"null", b"yes", b".inf", b".nan", b"0o17", b"1:30", b"'", b'"', b"%YAML 9.9\n---\n", b"..."),
 )
 _IN_JSON = (b"null", b"true", b"[]", b"{}", b'""', b"1e999", b"NaN", b"-1", b'"../x"', b'"\\ud800"')
+_IN_MTL = (
+    *(b"newmtl ", b"Kd ", b"map_Kd ", b"-s 1 1 1 ", b"usemtl ", b"mtllib ", b"vt ", b"\nf 1/1"),
+    *(b"../outside/secret.bin", b"@OUTSIDE@/secret.bin", b"C:\\t.png", b"\\\\host\\t.png", b"nan"),
+)
+_IN_TABLES = (
+    *(b"link_ids: ", b"meshes: ", b"mesh_poses: ", b"../../../outside/secret.obj", b"xyz='", b","),
+    *(
+        b"field.markers0.id",
+        b"%time",
+        b"field.transforms0.",
+        b"\n",
+        b'"',
+        b".inf",
+        b"1e999",
+        b"nan",
+    ),
+)
+_IN_POSES = (
+    b"rotation:",
+    b"center:",
+    b"extent:",
+    b"1e999",
+    b"nan",
+    b"\x89PNG\r\n",
+    b"IHDR",
+    b"IDAT",
+)
 _IN_USDA = (
     *(b"#usda 1.0\n", b'def Xform "x"', b'def Mesh "m"', b"references = @", b"payload = @"),
     *(b"subLayers = [", b"@../outside/secret.bin@", b"@@@", b"</root>", b"over ", b"class "),
@@ -427,6 +517,19 @@ TARGETS = {
         Target(
             "partnet", "beside.txt", _read_partnet, (InvalidSource,), _partnet_around,
             tokens=(*_IN_JSON, making.BETWEEN),
+        ),
+        Target(
+            "looks", "beside.txt", _read_looks, (InvalidSource,), _files(*_LOOKS),
+            made=making.looks, mended=mending.pngs, tokens=(*_IN_MTL, making.BETWEEN),
+        ),
+        Target(
+            "rbo", "beside.txt", _read_recording(_RBO, _IN_RBO), (InvalidSource,), _rbo_around,
+            tokens=(*_IN_TABLES, making.BETWEEN),
+        ),
+        Target(
+            "aod", "beside.txt", _read_recording(_AOD, _IN_AOD), (InvalidSource,),
+            _files(*_IN_AOD), made=making.aods, mended=mending.pngs,
+            tokens=(*_IN_POSES, making.BETWEEN),
         ),
         Target(
             "usd", "model.usda", _read_usd, (InvalidSource,), tokens=_IN_USDA, extra="pxr"

@@ -15,6 +15,7 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import transform
 from articugen.evaluation.recorded.frames import (
     BACKGROUND,
+    FARTHEST,
     Frame,
     Recording,
     contents,
@@ -66,6 +67,9 @@ def _pose(path: Path) -> Floats | None:
     try:
         at, then = words.index("rotation:") + 1, words.index("center:") + 1
         R, t = (np.array(words[k : k + n], np.float64) for k, n in ((at, 9), (then, 3)))
-        return transform(R.reshape(3, 3), t.reshape(3))
+        pose = transform(R.reshape(3, 3), t.reshape(3))
+        if not (np.abs(pose) < FARTHEST).all():
+            raise ValueError
     except ValueError:
         raise InvalidSource(f"{path}: no pose (rotation: nine numbers, center: three)") from None
+    return pose

@@ -20,6 +20,7 @@ from articugen.meshes.distances import distance
 from articugen.meshes.points import FEWEST_POINTS, LONGEST_EDGE
 
 BACKGROUND = -1
+FARTHEST = 1e3  # metres, of anything that was recorded
 OPEN = np.radians(135.0)
 """How far the paper's laptops open: the unit frame holds the object over all of that."""
 
@@ -97,10 +98,10 @@ def picture(path: Path) -> Ints:
 
 
 def seen_by(depth: Floats, fx: float, fy: float, cx: float, cy: float) -> Floats:
-    """Return (H, W, 3) the points of a depth image (H, W) in metres, nan where there is none;
-    pixel (i, j) looks through (u, v) = (j, i), as both data sets' authors have it."""
+    """Return (H, W, 3) the points of a depth image (H, W) in metres, nan where there is none within
+    `FARTHEST`; pixel (i, j) looks through (u, v) = (j, i), as both data sets' authors have it."""
     v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    z = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
+    z = np.where((depth > 0.0) & (depth < FARTHEST), depth, np.nan)
     return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], axis=-1)
 
 

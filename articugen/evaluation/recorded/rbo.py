@@ -30,6 +30,7 @@ from articugen.core.geometry import (
 from articugen.core.seeding import generator
 from articugen.core.yaml_files import read_yaml
 from articugen.evaluation.recorded.frames import (
+    FARTHEST,
     Frame,
     Recording,
     contents,
@@ -48,6 +49,7 @@ _CHAIN = tuple(
 _INTRINSICS = ("field.K0", "field.K4", "field.K2", "field.K5")
 _LATE = 0.05  # seconds that a pose may be older or newer than its image
 _STILL = 1e-6
+_MOST = 1e20  # of a number in a table
 _SAMPLES = 4096
 
 _Timed = tuple[Floats, Floats]  # (n,) seconds, (n, 4, 4) poses, by time
@@ -61,7 +63,10 @@ def read(folder: Path, count: int) -> Recording:
     name = re.match(r"[A-Za-z]*", folder.name)
     model = folder.absolute().parents[2] / "objects" / (name[0] if name else "")
     markers, surfaces = _model(model, _seconds(images[0]))
-    info = _Table(folder / f"{DEPTH[0]}_camera_info.csv").numbers(*_INTRINSICS)[0]
+    about = folder / f"{DEPTH[0]}_camera_info.csv"
+    info = _Table(about).numbers(*_INTRINSICS)[0]
+    if not (np.isfinite(info).all() and (info[:2] > 1.0).all()):
+        raise InvalidSource(f"{about}: no focal lengths and centre, in pixels")
     cameras, bodies = _cameras(_Table(folder / "tf.csv")), _Table(folder / "rb_poses_array.csv")
     parts, frames = _bodies(bodies, markers), []
     for path in evenly(images, count):
@@ -80,14 +85,19 @@ def read(folder: Path, count: int) -> Recording:
 
 def _seconds(path: Path) -> float:
     try:
-        return float(path.stem.split("-", 1)[1])
-    except (IndexError, ValueError):
+        seconds = float(path.stem.split("-", 1)[1])
+        datetime.fromtimestamp(seconds, timezone.utc)
+        return seconds
+    except (IndexError, OSError, OverflowError, ValueError):
         raise InvalidSource(f"{path}: its name is not <index>-<seconds>") from None
 
 
 def _depth(path: Path) -> Floats:
+    text = contents(path).decode("latin-1")
     try:
-        return np.loadtxt(io.BytesIO(contents(path)), dtype=np.float64, ndmin=2)
+        if not text.strip():
+            raise ValueError("it is empty")
+        return np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2, comments=None)
     except ValueError as error:
         raise InvalidSource(f"{path}: no rows of metres ({error})") from None
 
@@ -111,10 +121,12 @@ def _model(folder: Path, seconds: float) -> tuple[list[int], list[Floats]]:
             places = [within(place, file) for place in (path.parent, folder, folder.parent)]
             mesh = read_mesh(next((p for p in places if p.is_file()), places[0]))
             vertices = apply(transform(rotation_from_rpy(rpy), xyz), mesh.vertices)
+            if not (np.abs(vertices) < FARTHEST).all():
+                raise ValueError(f"{name} is far away")
             surfaces.append(vertices[mesh.faces])
         if len(surfaces) != 2:
             raise ValueError(f"{len(surfaces)} parts; a laptop has two")
-    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, KeyError, OSError, TypeError, ValueError) as error:
         raise InvalidSource(f"{path}: not what describes a laptop ({error})") from None
     return [markers[link] for link in sorted(markers)], surfaces
 
@@ -123,7 +135,10 @@ class _Table:
     """A table as rosbag writes it, by the names of its columns."""
 
     def __init__(self, path: Path) -> None:
-        rows = list(csv.reader(io.StringIO(contents(path).decode("utf-8", "replace"))))
+        try:
+            rows = list(csv.reader(io.StringIO(contents(path).decode("utf-8", "replace"))))
+        except csv.Error as error:
+            raise InvalidSource(f"{path}: no table ({error})") from None
         self.path, self.names = path, rows[0] if rows else []
         self.rows = [row for row in rows[1:] if len(row) == len(self.names)]
         if not self.rows:
@@ -136,26 +151,29 @@ class _Table:
         return [row[at] for row in self.rows]
 
     def numbers(self, *names: str) -> Floats:
-        """Return (rows, names)."""
+        """Return (rows, names); nan of what is beyond any measure."""
         try:
-            return np.array([self.texts(name) for name in names], np.float64).T
+            values = np.array([self.texts(name) for name in names], np.float64).T
         except ValueError:
             raise InvalidSource(f"{self.path}: {names[0]} holds what is no number") from None
+        return np.where(np.abs(values) < _MOST, values, np.nan)
 
     def poses(self, time: str, at: str, turned: str, which: Bools) -> _Timed:
         """Return those of some rows by time; a quaternion of zeros marks what was lost. What never
         moves is one pose at no time, as it is sent more rarely than images."""
         Q = self.numbers(*(turned + k for k in "wxyz"))
+        places = self.numbers(*(at + k for k in "xyz"))
         size = np.sqrt((Q * Q).sum(1))
-        which = which & (size > 0.0)
+        times = 1e-9 * self.numbers(time)[:, 0]
+        which = which & (size > 0.0) & (np.abs(places) < FARTHEST).all(1) & np.isfinite(times)
         if not which.any():
             return np.zeros(0), np.zeros((0, 4, 4))
         T = np.tile(np.eye(4), (which.sum(), 1, 1))
         T[:, :3, :3] = rotation_from_quaternion(Q[which] / size[which, None])
-        T[:, :3, 3] = self.numbers(*(at + k for k in "xyz"))[which]
+        T[:, :3, 3] = places[which]
         if np.abs(T - T[0]).max() < _STILL:
             return np.array([np.nan]), T[:1]
-        return 1e-9 * self.numbers(time)[which, 0], T
+        return times[which], T
 
 
 def _bodies(table: _Table, markers: list[int]) -> list[_Timed]:
