@@ -171,11 +171,12 @@ def header(kind: bytes, data: bytes = b"") -> bytes:
         header(tarfile.XGLTYPE, b"9 a=1234\n") * 4000,
         header(tarfile.XHDTYPE, b"5 aaa" * 200_000),  # the square of its length, by tarfile
         header(tarfile.XHDTYPE, b"9" * 5000 + b" path=m\n"),
+        header(tarfile.XHDTYPE, b"9" * 20 + b" path=m\n"),  # an OverflowError, of `re`
         header(tarfile.XHDTYPE, b"5014 size=" + b"9" * 5003 + b"\n"),
         header(tarfile.XHDTYPE, b"11 size=-1\n"),
         header(tarfile.XHDTYPE, b"22 GNU.sparse.major=1\n"),
     ],
-    ids=["pax", "gnu", "global", "long", "digits", "size", "no size", "sparse"],
+    ids=["pax", "gnu", "global", "long", "digits", "index", "size", "no size", "sparse"],
 )
 def test_headers_before_a_file_that_claim_too_much_are_refused(tmp_path, outside, headers):
     data = gzip.compress(headers + gzip.decompress(tarred(MODEL)))
