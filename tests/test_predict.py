@@ -13,6 +13,7 @@ from articugen.core.errors import ArticugenError
 from articugen.core.geometry import apply
 from articugen.core.records import Normalization
 from articugen.evaluation.reconstruction import Reconstruction, truth
+from articugen.learning import predict
 from articugen.learning.predict import cut, draw_cut, write_cut, write_rig
 from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level
@@ -114,6 +115,18 @@ def test_a_mesh_is_cut_where_another_part_is_nearer():
     sure = np.abs(along) / np.linalg.norm([0.1, 0.4]) > 0.02  # balls of 16^3 are not quite round
     assert sure.mean() > 0.2
     np.testing.assert_array_equal(pieces.part[sure], (along[sure] > 0).astype(int))
+
+
+def test_a_cut_says_how_many_points_are_done_and_is_the_same_in_blocks(monkeypatch):
+    found, lines = three_balls(), []
+    cloud = Cloud(np.zeros((64, 3)), triangles=found.triangles + np.array([0.05, 0.0, 0.0]))
+    whole = cut(cloud, found)
+    monkeypatch.setattr(predict, "_AT_ONCE", 100)
+    blocks = cut(cloud, found, lines.append)
+    np.testing.assert_array_equal(blocks.triangles, whole.triangles)
+    np.testing.assert_array_equal(blocks.part, whole.part)
+    total = f"{3 * len(cloud.triangles):,} points"
+    assert lines[:2] == [f"cutting: {done} of {total}" for done in (0, 100)]
 
 
 @pytest.mark.parametrize("is_mesh", [False, True])

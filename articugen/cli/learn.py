@@ -254,10 +254,11 @@ def predict(
     """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts."""
     from articugen.learning import commands
 
-    with stderr.status("looking, cutting, drawing ..."):
+    with stderr.status("looking ...") as status:
         predicted = commands.predict(
-            run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution
-        )
+            run, cloud, row=row, camera=camera, fit=fit, out=out, resolution=resolution,
+            on_progress=status.update,
+        )  # fmt: skip
     if predicted.cloud.hint:
         say(predicted.cloud.hint, to=stderr)
     for line in predicted.lines():

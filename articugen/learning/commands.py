@@ -349,6 +349,7 @@ def predict(
     fit: bool = False,
     out: FolderLike = "rig",
     resolution: int = 64,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> Predicted:
     """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts, as
     meshes on the predicted joints.
@@ -362,6 +363,7 @@ def predict(
         fit: bring the file's box into the unit frame first.
         out: the folder for meshes, URDF and GLB.
         resolution: of the meshes' grid.
+        on_progress: called with what is being done, of a large mesh with counts.
 
     Raises:
         InvalidCheckpoint: the run cannot be read.
@@ -379,7 +381,8 @@ def predict(
         shape = cloud_of_file(cloud, fit=fit)
     predicted = learner.reconstruct(shape.points, resolution=resolution)
     path = write_rig(predicted, Path(out), frame=shape.frame)
-    pieces = cut(shape, predicted)
+    pieces = cut(shape, predicted, on_progress)
+    on_progress("writing and drawing ...")
     files = write_cut(pieces, Path(out), shape.frame)
     files.append(draw_cut(pieces, predicted, Path(out) / "input.png"))
     return Predicted(shape, predicted, path, tuple(files))

@@ -2,6 +2,7 @@
 what is reconstructed, and what was given, cut into the parts."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +28,8 @@ from articugen.store.shards import open_shard
 
 _CUTS, _SMALLEST = 6, 0.01
 """A triangle that parts share is quartered so often, unless its edges are shorter than that."""
+
+_AT_ONCE = 1 << 18  # points, a second or two
 
 _AZIMUTH = math.radians(35.0)
 
@@ -79,13 +82,20 @@ def seen_by_a_camera(instance: Instance) -> Floats:
     return dequantize(instance.partial_points[chosen])
 
 
-def cut(cloud: Cloud, shape: Reconstruction) -> Reconstruction:
+def cut(
+    cloud: Cloud, shape: Reconstruction, on_progress: Callable[[str], None] = lambda _: None
+) -> Reconstruction:
     """Return the input instead of the reconstructed surfaces: labelled points, or the
     triangles of a mesh, each of the part whose surface is nearest. Triangles that parts share are
-    cut small first."""
+    cut small first. `on_progress` is called with how many points are done, of how many."""
 
     def part_of(points: Floats) -> NDArray[np.int64]:
-        return nearest_part(points, shape.triangles, shape.part, shape.parts)
+        part = np.empty(len(points), np.int64)
+        for at in range(0, len(points), _AT_ONCE):
+            on_progress(f"cutting: {at:,} of {len(points):,} points")
+            some = slice(at, at + _AT_ONCE)
+            part[some] = nearest_part(points[some], shape.triangles, shape.part, shape.parts)
+        return part
 
     if cloud.triangles is None:
         known = {"T_part": shape.T_part, "joints": shape.joints}
