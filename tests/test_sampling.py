@@ -164,6 +164,20 @@ def test_a_kinect_reads_one_of_its_disparities_half_a_pixel_off(metres):
     assert 0.1 < lost[20, 20:140].mean() < 0.3  # a pixel reads the row above with 16 % each
 
 
+@pytest.mark.parametrize("metres", [1.0, 1.5])
+@pytest.mark.parametrize("degrees", [60, 70, 75, 80])
+def test_a_kinect_s_error_grows_with_the_angle_to_the_surface_as_was_measured(metres, degrees):
+    """Of a plane in the middle of a Kinect's image, beside Nguyen, Izadi and Lovell (2012)."""
+    x, angle = (np.arange(320) - 159.5) / 585.0, np.radians(degrees)
+    depth = np.tile(metres / (1.0 + x * np.tan(angle)), (240, 1))
+    measured, _ = sampling.as_kinect(
+        depth, np.zeros(depth.shape, int), 1.0, rng=np.random.default_rng(0)
+    )
+    axial = 0.0012 + 0.0019 * (metres - 0.4) ** 2
+    axial += 0.0001 / np.sqrt(metres) * angle**2 / (np.pi / 2.0 - angle) ** 2
+    assert (measured - depth)[:, 140:180].std() == pytest.approx(axial, rel=0.3)
+
+
 def test_left_of_what_is_nearer_nothing_is_lit():
     """A post 1.5 away before a wall at 2: its shadow is as wide as their disparities differ."""
     depth, face = np.full((4, 200), 2.0), np.zeros((4, 200), int)
