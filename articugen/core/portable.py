@@ -20,6 +20,9 @@ from articugen.core.arrays import Floats
 _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 _LN2 = (0.6931471806019545, -4.2009150726810846e-11)
 
+_SINE = [(-1) ** k / factorial(2 * k + 1) for k in range(9)]
+_COSINE = [(-1) ** k / factorial(2 * k) for k in range(10)]
+
 _TURNS = 2.0**20
 """Quarter turns that `sin_cos` takes; more would lose digits that callers think they have."""
 
@@ -71,8 +74,7 @@ def sin_cos(angle: ArrayLike) -> tuple[Any, Any]:
     for piece in _HALF_PI:
         x = x - quarters * piece
     square = x * x
-    sine = x * _series(square, [(-1) ** k / factorial(2 * k + 1) for k in range(9)])
-    cosine = _series(square, [(-1) ** k / factorial(2 * k) for k in range(10)])
+    sine, cosine = x * _series(square, _SINE), _series(square, _COSINE)
     turn = quarters.astype(np.int64) & 3
     swapped = turn & 1 == 1
     sine, cosine = np.where(swapped, cosine, sine), np.where(swapped, sine, cosine)

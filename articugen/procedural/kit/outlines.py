@@ -3,13 +3,14 @@
 A line of a laptop's edge, of a lens or of a door starts here; `solids` gives it a third dimension.
 """
 
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from articugen.core.arrays import Floats
-from articugen.core.portable import arctan2, cos, product, sin
+from articugen.core.portable import arctan2, product, sin_cos
 
 
 def rectangle(width: float, height: float, center: ArrayLike = (0.0, 0.0)) -> Floats:
@@ -32,15 +33,18 @@ def rounded_rectangle(
             kept above 1e-5 m and below half of the shorter side, so that outlines that differ
             only in size and radius have parallel edges, corner by corner.
     """
-    radii = np.clip(np.broadcast_to(radius, (4,)), 1e-5, 0.499 * min(width, height))
+    radii = np.clip(np.broadcast_to(radius, (4,)), 1e-5, 0.499 * min(width, height))[:, None, None]
+    corners = rectangle(width, height)[:, None]
+    outline = corners * (1.0 - radii / np.abs(corners)) + radii * _arcs(segments)
+    return outline.reshape(-1, 2) + np.asarray(center, dtype=np.float64)
+
+
+@cache
+def _arcs(segments: int) -> Floats:
+    """Return (4, segments + 1, 2) a unit circle by quarters, from -x on; nobody writes into it."""
     arc = np.linspace(0.0, np.pi / 2, segments + 1)
-    corners = []
-    for k, (corner, r) in enumerate(zip(rectangle(width, height), radii, strict=True)):
-        angles = arc + np.pi + k * np.pi / 2
-        corners.append(
-            corner * (1.0 - r / np.abs(corner)) + r * np.stack([cos(angles), sin(angles)], 1)
-        )
-    return np.concatenate(corners) + np.asarray(center, dtype=np.float64)
+    sine, cosine = sin_cos(arc + np.pi + np.arange(4.0)[:, None] * np.pi / 2)
+    return np.stack([cosine, sine], axis=2)
 
 
 def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Floats:
@@ -52,8 +56,8 @@ def circle(radius: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Fl
 def ellipse(a: float, b: float, sides: int = 32, center: ArrayLike = (0.0, 0.0)) -> Floats:
     """Return a polygon inscribed in the ellipse with half-axes `a` along x and `b` along y."""
     angles = (np.arange(sides) + 0.5) * (2.0 * np.pi / sides)
-    unit = np.stack([cos(angles), sin(angles)], axis=1)
-    return unit * (a, b) + np.asarray(center, dtype=np.float64)
+    sine, cosine = sin_cos(angles)
+    return np.stack([cosine, sine], axis=1) * (a, b) + np.asarray(center, dtype=np.float64)
 
 
 def matched(outer: Floats, inner: Floats, center: ArrayLike = (0.0, 0.0)) -> tuple[Floats, Floats]:
@@ -72,7 +76,8 @@ def matched(outer: Floats, inner: Floats, center: ArrayLike = (0.0, 0.0)) -> tup
 
 def _seen_from_origin(outline: Floats, angles: Floats) -> Floats:
     """Return where rays from the origin at `angles` meet a star-shaped outline."""
-    direction = np.stack([cos(angles), sin(angles)], axis=1)
+    sine, cosine = sin_cos(angles)
+    direction = np.stack([cosine, sine], axis=1)
     start, end = outline, np.roll(outline, -1, axis=0)
     normal = np.stack([end[:, 1] - start[:, 1], start[:, 0] - end[:, 0]], axis=1)
     distance = np.sum(normal * start, axis=1)
