@@ -143,4 +143,4 @@ def test_a_data_set_with_colours_is_the_same_again(tmp_path):
     assert {tuple(c) for c in one[0].surface.color.tolist()} == {
         plain_colour("drawer", name) for name in ("body", "drawer")
     }
-    assert ag.verify(tmp_path / "a" / "drawer").ok
+    assert ag.verify(tmp_path / "a" / "drawer", jobs=1).ok

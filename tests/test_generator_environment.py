@@ -35,10 +35,10 @@ def run(*arguments):
     assert result.exit_code == 0, (arguments, result.output, result.exception)
 small = ("--objects", 1, "--states", 1, "--set", "views.count=8", "--set", "views.resolution=64")
 small += ("--set", "sampling.surface_points=1024")
-run("generate", "-c", "laptop", "--jobs", 1, "--out", ".", *small)
+run("generate", "-c", "laptop", "--jobs", 0, "--out", ".", *small)
 run("inspect", "laptop", "--image", "sheet.png")
 run("inspect", "laptop", "--html", "report.html")
-run("verify", "laptop")
+run("verify", "laptop", "--jobs", 1)
 run("discover", "laptop")
 for name in ("urdf", "glb", "mjcf"):
     run("export", "laptop", "--to", name, "--out", name, "--resolution", 32)

@@ -205,9 +205,8 @@ api.make(job, on_object=told)
     left = [task.ref.object_id for task in tasks]
     assert 0 < len(left) < 4
     assert first not in left
-    manifest, reports = made(cut)
-    assert [r.object_id for r in reports if not r.reused] == left or jobs > 1
-    assert {r.object_id for r in reports if not r.reused} == set(left)
+    manifest, reports = made(job(out))  # without workers; with two in test_chaos.py
+    assert [r.object_id for r in reports if not r.reused] == left
     assert manifest.content_sha256 == Manifest.read(whole).content_sha256
     assert contents(out) == contents(whole)
 

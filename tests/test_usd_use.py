@@ -82,7 +82,7 @@ def test_generate_inspect_and_choose(tmp_path):
     assert (lid.name, lid.kind) == ("RevoluteJoint", "revolute")
     shown = run("inspect", tmp_path / "dishwasher")
     assert shown.exit_code == 0, shown.output
-    assert ag.verify(tmp_path / "dishwasher", replay=1).ok
+    assert ag.verify(tmp_path / "dishwasher", replay=1, jobs=1).ok
     again = run("generate", "-c", "dishwasher", *common, "--joints", "revolute", "--out", tmp_path)
     assert again.exit_code == 3
     assert ag.open(tmp_path / "dishwasher")[0].object_id == "cab_1"
