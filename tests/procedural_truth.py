@@ -71,8 +71,9 @@ def assert_sound(model: Model) -> None:
             name = f"{link.name}, solid {k}"
             assert is_closed(solid.faces), name
             assert len(solid.half_spaces) == len(solid.cells), name
-            assert solid.volume > 0.0, name
-            assert abs(mesh_volume(solid) - solid.volume) < 1e-9 * solid.volume + 1e-15, name
+            volume = solid.volume
+            assert volume > 0.0, name
+            assert abs(mesh_volume(solid) - volume) < 1e-9 * volume + 1e-15, name
 
 
 def crossings(

@@ -12,6 +12,7 @@ All builders take metres. Outlines lie in the x-y plane and are raised along z; 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -116,8 +117,8 @@ class Solid:
     @property
     def volume(self) -> float:
         """Cubic metres: the sum over the cells."""
-        triangles = _triangles(self.vertices, [face for cell in self.cells for face in cell])
-        a, b, c = np.moveaxis(self.vertices[triangles], 1, 0)
+        fans = ((f[0], *edge) for cell in self.cells for f in cell for edge in pairwise(f[1:]))
+        a, b, c = np.moveaxis(self.vertices[np.array(list(fans))], 1, 0)
         return float(np.sum(a * cross(b, c)) / 6.0)
 
     def moved(self, T: Floats) -> "Solid":
