@@ -94,21 +94,27 @@ def crossings(
         cells = np.flatnonzero(truth.link_of_cell == k)
         around = np.stack([boxes[cells, 0].min(axis=0), boxes[cells, 1].max(axis=0)])
         for other, ends in edges.items():
-            near = _within(ends, around)
-            if other == link or not near.shape[1]:
+            near = _within(ends, _spans(ends), around) if other != link else ends[:, :0]
+            if not near.shape[1]:
                 continue
             low, high = near.min(axis=(0, 1)), near.max(axis=(0, 1))
+            spans = _spans(near)
             for c in cells[np.all((boxes[cells, 0] < high) & (boxes[cells, 1] > low), axis=1)]:
-                some = _within(near, boxes[c])
+                some = _within(near, spans, boxes[c])
                 if some.shape[1]:
                     deep = _depth_along(some, planes[first[c] : first[c + 1]], clearance)
                     depths[other, link] = max(depths.get((other, link), 0.0), deep)
     return {pair: deep for pair, deep in depths.items() if deep > CONTACT}
 
 
-def _within(ends: Floats, box: Floats) -> Floats:
-    """Of segments (2, E, 3) those whose boxes meet `box` (2, 3)."""
-    meets = (np.minimum(*ends) < box[1]) & (np.maximum(*ends) > box[0])
+def _spans(ends: Floats) -> Floats:
+    """(2, E, 3) the boxes of segments (2, E, 3)."""
+    return np.stack([np.minimum(*ends), np.maximum(*ends)])
+
+
+def _within(ends: Floats, spans: Floats, box: Floats) -> Floats:
+    """Of segments (2, E, 3) those whose boxes `spans` meet `box` (2, 3)."""
+    meets = (spans[0] < box[1]) & (spans[1] > box[0])
     return ends[:, meets[:, 0] & meets[:, 1] & meets[:, 2]]
 
 

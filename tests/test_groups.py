@@ -152,9 +152,8 @@ def test_the_command_wants_a_data_set_for_groups(tmp_path):
 
 def test_poses_that_are_of_no_one_object_teach_no_motion(tmp_path):
     """One pose of each object: there is nothing to compare."""
-    articugen.generate(
-        "oven", out=tmp_path, objects=3, states=0, jobs=0, changes=["sampling.grids=[32]"]
-    )
+    small = ["sampling.grids=[32]", "views.count=30", "views.resolution=128"]
+    articugen.generate("oven", out=tmp_path, objects=3, states=0, jobs=0, changes=small)
     shards = sorted((tmp_path / "oven").glob("train-*.h5"))
     with pytest.raises(UnfitData, match="no two training instances show one object"):
         found_objects([partial(open_shard, path) for path in shards], "here")
