@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -53,7 +55,8 @@ def _divided(
         return [Cell(node, opening, front, carcass.board)], []
     rows, board = node.way == "rows", carcass.board
     free = (opening.height if rows else opening.width) - board * (len(node.shares) - 1)
-    sizes = np.array(node.shares) * (free / sum(node.shares))
+    # one by one: `sum` rounds otherwise from Python 3.12 on
+    sizes = np.array(node.shares) * (free / reduce(add, node.shares))
     cells, boards = [], []
     at, near = (opening.z1, front.z1) if rows else (opening.y0, front.y0)
     step = -1.0 if rows else 1.0
