@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 import articugen as ag
 from articugen.core.errors import InvalidSource
-from articugen.inspection.check import door
 from articugen.inspection.check.faces import Soup
 from articugen.inspection.check.model import FINDINGS, Checked
 from articugen.meshes.crossings import crossings
@@ -261,9 +260,7 @@ def test_folders_hold_models_or_meshes_and_what_is_hostile_gets_a_line(tmp_path)
         ag.check(tmp_path / "none")
 
 
-def test_the_command_writes_numbers_and_a_page_and_its_exit_status_is_the_verdict(
-    tmp_path, monkeypatch
-):
+def test_the_command_writes_numbers_and_a_page_and_its_exit_status_is_the_verdict(tmp_path):
     models = tmp_path / "models"
     models.mkdir()
     CUBE.export(models / "<i>.ply")
@@ -282,8 +279,6 @@ def test_the_command_writes_numbers_and_a_page_and_its_exit_status_is_the_verdic
     assert "<i>" not in text
     assert FINDINGS["two-sided"] in text
     (models / "b.ply").write_text("ply")
-    each = door.each  # a worker has shown above that it can
-    monkeypatch.setattr(door, "each", lambda *a, workers, **more: each(*a, workers=0, **more))
     for path, status in ((models / "<i>.ply", 0), (models / "b.ply", 1)):
         assert run("check", path, "--jobs", 1).exit_code == status
     refused = run("check", models, "--html", tmp_path / "checks.txt")

@@ -103,11 +103,8 @@ def test_no_split_leads_out_of_the_folder(name: str, split: str, root: Path, tmp
     data = data.of(data.objects[0])[:2]
     data._shelf.entries = tuple(replace(entry, split=split) for entry in data._shelf.entries)
     out = tmp_path / "a" / "b" / "out"
-    options = options_for(name)
-    if "from_grids" in format_named(name).takes:  # quicker, and of the same files
-        options = {"from_grids": True}
     with suppress(ag.ArticugenError):
-        ag.export(data, name, out, **options)
+        ag.export(data, name, out, **options_for(name))
     assert {p for p in tmp_path.rglob("*") if p.is_file() and not p.is_relative_to(out)} == set()
     assert not list(root.glob("x*"))
 
