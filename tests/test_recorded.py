@@ -326,6 +326,10 @@ def test_the_truth_scores_as_such(recorded):
     assert np.isnan(still.numbers["state_degrees"])
 
 
+RBO_MODEL = "../../../objects/laptop/*-10-20/*"
+"""The file that describes the laptop, from the sequence's folder."""
+
+
 def broken(folder: Path, name: str, old: str, new: str) -> None:
     path = next(folder.glob(name))
     path.write_text(re.sub(old, new, path.read_text()))
@@ -341,17 +345,11 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
         ("rbo", "rb_poses_array.csv", "\n[^,]*,5,", "\n9,5,", "no image has a pose of every part"),
         ("rbo", "rb_poses_array.csv", "(?s)\n.*", "", "holds no row"),
         ("rbo", "camera_depth*/*.txt", "^[^ ]*", "deep", "no rows of metres"),
-        ("rbo", "../../../objects/laptop/*-10-20/*", "rb0:", "rb7:", "not what describes a laptop"),
-        (
-            "rbo",
-            "../../../objects/laptop/*-10-20/*",
-            "laptop/meshes",
-            "../..",
-            "not what describes",
-        ),
-        ("rbo", "../../../objects/laptop/*-10-20/*", "part0", "part7", "part7.stl"),
-        ("rbo", "../../../objects/laptop/*-10-20/*", '"1"', ".inf", "not what describes"),
-        ("rbo", "../../../objects/laptop/*-10-20/*", "xyz='[^ ]*", "xyz='1e300", "rb0 is far away"),
+        ("rbo", RBO_MODEL, "rb0:", "rb7:", "not what describes a laptop"),
+        ("rbo", RBO_MODEL, "laptop/meshes", "../..", "not what describes"),
+        ("rbo", RBO_MODEL, "part0", "part7", "part7.stl"),
+        ("rbo", RBO_MODEL, '"1"', ".inf", "not what describes"),
+        ("rbo", RBO_MODEL, "xyz='[^ ]*", "xyz='1e300", "rb0 is far away"),
         ("rbo", "camera_depth*/*.txt", "(?s).+", "", "it is empty"),
         ("rbo", "*_info.csv", ",[1-9][^,]*,0", ",0,0", "no focal lengths and centre"),
         ("rbo", "rb_poses_array.csv", "\n", "\rx\n", "no table"),
@@ -361,7 +359,7 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
             "rb_poses_array.csv",
             r"(?<=\d),[^,\n]*\n",
             ",inf\n",
-            "no image has a pose of every part",
+            "no image has a pose of every",
         ),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nnan", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\n1e300", "no pose"),

@@ -128,9 +128,9 @@ def test_a_urdf_that_lies_too_deep_is_named(tmp_path):
         add(folder / name)
         with pytest.raises(InvalidSource) as caught:
             open_source(tmp_path).objects("lamp")
-        told = " up to three folders down in what is in it, though {} lies deeper"
-        told = told.format(folder / name) if name == "e.URDF" else ""
-        assert f"{tmp_path}: holds no URDF, MJCF or USD{told}; put each model" in str(caught.value)
+        depth = f" up to 3 folders down in what is in it, though {folder / name} lies deeper"
+        depth = depth if name == "e.URDF" else ""
+        assert f"{tmp_path}: holds no URDF, MJCF or USD{depth}; put each model" in str(caught.value)
     add(folder.parent / "f.urdf")
     assert ids(open_source(tmp_path).objects("lamp")) == ["a"]
 

@@ -7,8 +7,10 @@ that IEEE 754 defines to the bit (+ - * / and the square root), elementwise, so 
 reordered or fused.
 """
 
+from collections.abc import Sequence
 from functools import reduce
 from math import factorial
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -37,6 +39,11 @@ def product(*matrices: ArrayLike) -> Floats:
         return total
 
     return reduce(times, (np.asarray(matrix, np.float64) for matrix in matrices))
+
+
+def total(numbers: Sequence[float]) -> float:
+    """Return the sum, one number after the other: `sum` rounds otherwise from Python 3.12 on."""
+    return reduce(add, numbers)
 
 
 def turned(matrix: ArrayLike, vectors: ArrayLike) -> Floats:

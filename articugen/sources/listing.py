@@ -74,7 +74,7 @@ def _too_deep(base: Path) -> str:
     with suppress(RecursionError):  # at a tree of folders that is no data set
         for path in islice(base.rglob("*"), 100_000):
             if len(path.relative_to(base).parts) > _DEEP + 1 and urdf_files.detect(path):
-                return f" up to three folders down in what is in it, though {path} lies deeper"
+                return f" up to {_DEEP} folders down in what is in it, though {path} lies deeper"
     return ""
 
 

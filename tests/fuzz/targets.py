@@ -448,26 +448,11 @@ _IN_MTL = (
 )
 _IN_TABLES = (
     *(b"link_ids: ", b"meshes: ", b"mesh_poses: ", b"../../../outside/secret.obj", b"xyz='", b","),
-    *(
-        b"field.markers0.id",
-        b"%time",
-        b"field.transforms0.",
-        b"\n",
-        b'"',
-        b".inf",
-        b"1e999",
-        b"nan",
-    ),
+    *(b"field.markers0.id", b"field.transforms0.", b"%time", b"\n", b'"', b".inf", b"1e999"),
+    b"nan",
 )
 _IN_POSES = (
-    b"rotation:",
-    b"center:",
-    b"extent:",
-    b"1e999",
-    b"nan",
-    b"\x89PNG\r\n",
-    b"IHDR",
-    b"IDAT",
+    *(b"rotation:", b"center:", b"extent:", b"1e999", b"nan", b"\x89PNG\r\n", b"IHDR", b"IDAT"),
 )
 _IN_USDA = (
     *(b"#usda 1.0\n", b'def Xform "x"', b'def Mesh "m"', b"references = @", b"payload = @"),

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 
 import numpy as np
 
 from articugen.core.geometry import rotation_about, transform
+from articugen.core.portable import total
 from articugen.procedural.drawer.layouts import Kind, Layout, Split
 from articugen.procedural.kit.outlines import circle, rectangle
 from articugen.procedural.kit.parts import Rect, plank, rod, tapered
@@ -55,8 +54,7 @@ def _divided(
         return [Cell(node, opening, front, carcass.board)], []
     rows, board = node.way == "rows", carcass.board
     free = (opening.height if rows else opening.width) - board * (len(node.shares) - 1)
-    # one by one: `sum` rounds otherwise from Python 3.12 on
-    sizes = np.array(node.shares) * (free / reduce(add, node.shares))
+    sizes = np.array(node.shares) * (free / total(node.shares))
     cells, boards = [], []
     at, near = (opening.z1, front.z1) if rows else (opening.y0, front.y0)
     step = -1.0 if rows else 1.0

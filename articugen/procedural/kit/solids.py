@@ -11,17 +11,16 @@ All builders take metres. Outlines lie in the x-y plane and are raised along z; 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import pairwise
 from math import sqrt
-from operator import add
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, cross, rotation_about, transform
-from articugen.core.portable import arctan2, dot, norm, product, turned
+from articugen.core.portable import arctan2, dot, norm, product, total, turned
 from articugen.procedural.kit.outlines import circle, convex_pieces, rounded_rectangle
 
 Face = tuple[int, ...]
@@ -375,8 +374,7 @@ def _clipped(vertices: Floats, face: Face) -> list[Face]:
     swept = [_crossed(p[k - 1], p[k]) for k in range(len(p))]
     triangles = []
     while (n := len(left)) > 3:
-        # one by one: `sum` rounds otherwise from Python 3.12 on
-        whole = _length([reduce(add, along) for along in zip(*swept, strict=True)])
+        whole = _length([total(along) for along in zip(*swept, strict=True)])
         # What stays must not be flat. Of equal ears the first is taken, whatever the rounding.
         most = whole * (1.0 - 1e-9)
         fatness = [fat if area < most else -1.0 for area, fat in ears]
