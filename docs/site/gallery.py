@@ -81,7 +81,8 @@ def _draw_many(shards: Sequence[Path], many: int, path: Path) -> None:
     from articugen.pictures.contact_sheet import chosen_of, portraits
     from articugen.pictures.layout import Row, save, sheet
 
-    drawn = [each.pictures[-1] for each in portraits(chosen_of(shards, many), states=2)]
+    widest = portraits(chosen_of(shards, many), states=2, which=slice(-1, None))
+    drawn = [one.pictures[0] for one in widest]
     rows = [drawn[k : k + COLUMNS] for k in range(0, len(drawn), COLUMNS)]
     drawing = sheet([Row("", row, [()] * len(row)) for row in rows])
     save(drawing.resize((drawing.width // 2, drawing.height // 2)), path)
