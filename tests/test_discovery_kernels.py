@@ -1,9 +1,13 @@
 """The kernels of discovery beside what they mean, written slowly."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from python_process import printed
 
 from articugen.core.records import Floats
 from articugen.discovery import kernels
@@ -133,3 +137,27 @@ def test_what_is_held_stays() -> None:
     np.testing.assert_array_equal(alone.axis, start.axis)
     np.testing.assert_array_equal(alone.pivot, start.pivot)
     np.testing.assert_array_equal(start.states, 0.1)
+
+
+AHEAD = """
+from numba.core.dispatcher import Dispatcher
+from articugen.discovery import discover, gauss_newton, groups, kernels, warm
+warm.fits()
+warm.joints()
+rooms = map(vars, (gauss_newton, groups, kernels))
+some = [thing for room in rooms for thing in room.values() if isinstance(thing, Dispatcher)]
+print(len(some), {len(kernel.signatures) for kernel in some})
+from test_discovery import LID, faces, np, posed, turn
+door = posed([(LID, turn((0, 0, 1), (0.05, -0.22, 0)))], [[0.0], [0.5], [1.0]])
+many = [np.concatenate([cloud, cloud + 1e-4]) for cloud in door]
+for clouds, normals in ((many, None), faces([0.0, 0.1, 0.2])):
+    discover(clouds, normals=normals)
+print({len(kernel.signatures) for kernel in some})
+"""
+
+
+def test_what_is_compiled_ahead_is_what_is_used() -> None:
+    """Each kernel once: it would be compiled again for arrays of another layout."""
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    lines = printed("-c", AHEAD, PYTHONPATH=path).splitlines()
+    assert lines == ["14 {1}", "{1}"]

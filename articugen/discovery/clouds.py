@@ -125,9 +125,10 @@ class Cells:
         return marks
 
     def _of(self, surface: Surface, *of_each: Any, reach: float) -> tuple[Any, ...]:
-        """Return the arguments of the kernels."""
+        """Return the arguments of the kernels, in the one layout that these are compiled for."""
+        moved = map(np.ascontiguousarray, (surface.points, surface.normals, *of_each))
         return (
-            surface.points, surface.normals, *of_each, self.points, self.normals, self.signed,
+            *moved, self.points, self.normals, self.signed,
             self.starts, self.within(reach), reach, self.across(reach),
         )  # fmt: skip
 
@@ -138,7 +139,7 @@ class Cells:
     def agreement(self, surface: Surface, motions: Floats, reach: float) -> Floats:
         """Return (K, T) how well points lie on each pose, the more the nearer they are to it, moved
         by each of `motions`: (K, T, 3, 4), or (T, 3, 4) of every pose."""
-        of_each = np.array(np.broadcast_to(motions, (len(self), *motions.shape[-3:])))
+        of_each = np.array(np.broadcast_to(motions, (len(self), *motions.shape[-3:])), order="C")
         return kernels.agreement(*self._of(surface, of_each, reach=reach))
 
     def across(self, reach: float) -> float:
@@ -206,7 +207,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     points = [cloud.points for cloud in clouds]
     first = Cells.of([Surface.bare(points[0])])
     # most points of a surface are nearer to one another than `near`
-    some = points[0][:: max(len(points[0]) // 2000, 1)]
+    some = np.ascontiguousarray(points[0][:: max(len(points[0]) // 2000, 1)])
     gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
     near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
     others = Cells.of(clouds[1:], near)

@@ -164,7 +164,7 @@ class Search:
         offsets = ways[:, None] * lengths[:, None] + 0.5
         turned = np.broadcast_to(P.T * R, (len(lengths), *P.T.shape))
         most, step = kernels.votes(
-            turned.astype(np.float32), (offsets * R).astype(np.float32),
+            turned.astype(np.float32, order="C"), (offsets * R).astype(np.float32),
             weights(self.change, which), self.grid,
         )  # fmt: skip
         share = most.sum(1) / self._whole(which)

@@ -1,0 +1,38 @@
+"""The kernels of this room, called once on next to nothing: see core/compiling.py."""
+
+import numpy as np
+
+from articugen.core.arrays import Floats
+from articugen.core.records import JointKind
+from articugen.discovery.clouds import Cells, Surface
+from articugen.discovery.discover import discover
+from articugen.discovery.fitting import fitted
+from articugen.discovery.groups import group_instances
+from articugen.discovery.ownership import assign_material
+from articugen.discovery.search import Candidate
+
+
+def fits() -> None:
+    """Call the one that takes longest."""
+    points = np.zeros((1, 3))
+    cells = Cells.of([Surface.bare(points, points)], 0.1)
+    joint = Candidate(True, np.eye(3)[2], np.zeros(3), np.zeros(1))
+    part = Surface(points, points, np.zeros((1, 3, 3)), True)
+    fitted(joint, part, cells, 0.1, 1)
+
+
+def joints() -> None:
+    floor = _sheet(np.eye(3)[:2], np.zeros(3))
+    walls = [_sheet(0.5 * np.eye(3)[1:], np.array([x, 0.0, 0.3])) for x in (0.0, 0.2)]
+    poses = [np.concatenate([floor, wall]) for wall in walls]
+    facing = np.repeat(np.eye(3)[[2, 0]], len(floor), axis=0)
+    group_instances([(pose, facing) for pose in poses])
+    discover(poses, normals=[facing] * 2, kinds=[JointKind.PRISMATIC])
+    motion = np.tile(np.eye(4), (2, 2, 1, 1))
+    assign_material(poses, np.zeros((2, 4, 4, 4), np.bool_), motion)
+
+
+def _sheet(across: Floats, middle: Floats) -> Floats:
+    """Return (400, 3) points of a square, spanned by two vectors."""
+    at = np.linspace(-0.5, 0.5, 20)
+    return np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2) @ across + middle
