@@ -28,7 +28,7 @@ LITTLE = """\
 extends: quick
 objects: 6
 articulation: {states: 6}
-views: {count: 30, resolution: 128}
+views: {count: 16, resolution: 64}
 sampling: {surface_points: 2048, uniform_points: 64, near_points: 64, partial_views: 0, grids: [8]}
 """
 
@@ -42,7 +42,7 @@ def run(name: str, folder: Path, *arguments: object) -> str:
 @pytest.mark.skipif(not importlib.util.find_spec("torch"), reason="torch is not installed")
 def test_a_model_of_ones_own_learns_parts(tmp_path: Path) -> None:
     (tmp_path / "little.yaml").write_text(LITTLE)
-    told = run("train_your_model", tmp_path, "--recipe", "little.yaml", "--iterations", 120)
+    told = run("train_your_model", tmp_path, "--recipe", "little.yaml", "--iterations", 70)
     scores = {
         name: (float(accuracy), float(iou))
         for name, accuracy, iou in re.findall(r"(\w+): accuracy ([\d.]+), part IoU ([\d.]+)", told)
