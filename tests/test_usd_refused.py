@@ -243,7 +243,7 @@ def bomb(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "most"), [("SECONDS", 2), ("MEGABYTES", 800)])
+@pytest.mark.parametrize(("name", "most"), [("SECONDS", 2), ("MEGABYTES", 500)])
 def test_a_model_that_is_made_of_itself_many_times_ends_in_a_sentence(
     tmp_path, monkeypatch, name, most
 ):
