@@ -21,6 +21,13 @@ from articugen.learning.run_folder import RunFolder
 
 torch.set_num_threads(1)
 
+
+@pytest.fixture(autouse=True)
+def _few_portraits(monkeypatch):
+    """Of each recipe in the figure of a comparison, which is drawn at each end of one."""
+    monkeypatch.setattr("articugen.evaluation.figures.EXAMPLE_STATES", 1)
+
+
 SMALL = """
   model: {voxels: 16, widths: [16, 8], branches: 3}
   data: {surface_points: 64, grid_points: 32, band_points: 32, validation_objects: 1}
