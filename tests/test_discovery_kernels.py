@@ -142,7 +142,6 @@ def test_what_is_held_stays() -> None:
 AHEAD = """
 from numba.core.dispatcher import Dispatcher
 from articugen.discovery import discover, gauss_newton, groups, kernels, warm
-warm.fits()
 warm.joints()
 rooms = map(vars, (gauss_newton, groups, kernels))
 some = [thing for room in rooms for thing in room.values() if isinstance(thing, Dispatcher)]

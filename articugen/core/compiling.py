@@ -33,7 +33,7 @@ WARM_UPS = {
         "pictures.warm:discs", "pictures.warm:light", "inspection.warm:skins",
         "inspection.warm:clouds", "inspection.warm:checks", "rendering.warm:drawing",
     ),
-    "train": ("discovery.warm:joints", "learning.ppd.cpu.warm:networks", "discovery.warm:fits"),
+    "train": ("discovery.warm:joints", "learning.ppd.cpu.warm:networks"),
 }  # fmt: skip
 """For each command the functions that call the kernels it needs; first those that take longest.
 

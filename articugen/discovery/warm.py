@@ -4,21 +4,9 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.records import JointKind
-from articugen.discovery.clouds import Cells, Surface
 from articugen.discovery.discover import discover
-from articugen.discovery.fitting import fitted
 from articugen.discovery.groups import group_instances
 from articugen.discovery.ownership import assign_material
-from articugen.discovery.search import Candidate
-
-
-def fits() -> None:
-    """Call the one that takes longest."""
-    points = np.zeros((1, 3))
-    cells = Cells.of([Surface.bare(points, points)], 0.1)
-    joint = Candidate(True, np.eye(3)[2], np.zeros(3), np.zeros(1))
-    part = Surface(points, points, np.zeros((1, 3, 3)), True)
-    fitted(joint, part, cells, 0.1, 1)
 
 
 def joints() -> None:
