@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from articugen.core.arrays import Floats
+
 COLOURS = (
     "#d9d4cb",
     *("#4477aa", "#ddaa33", "#bb5566", "#44aa99", "#882255", "#88ccee", "#999933", "#cc88ee"),
@@ -22,6 +24,12 @@ def rgb(colour: str) -> tuple[int, int, int]:
     """#rrggbb as three bytes."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
+
+
+def light_of(rgb: Sequence[int]) -> Floats:
+    """Return sRGB bytes as linear light, from 0 to 1 (IEC 61966-2-1); pictures take a power."""
+    share = np.asarray(rgb) / 255.0
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
 
 
 PALETTE = np.array([rgb(colour_of(part)) for part in range(256)], np.uint8)

@@ -5,7 +5,7 @@ All frames are turned as the model's own; a part's stands at its joint's pivot, 
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -13,7 +13,7 @@ import trimesh
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.parts import MetricJoint, metric_joints, part_meshes, part_names
+from articugen.export.parts import Drawn, MetricJoint, drawn, metric_joints, part_meshes, part_names
 from articugen.export.target import Target
 from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.model_text import obj_text
@@ -37,6 +37,7 @@ SURFACE_FRICTION = 0.5
 """Of what touches a part: wood on wood, and what PhysX takes where nothing is stated."""
 
 _GRAVITY = 9.81  # m/s^2
+_SPECK = 1e-12  # m^2, of faces that nobody sees; MuJoCo refuses meshes of 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +85,8 @@ def bodies(item: Item, target: Target) -> tuple[Body, ...]:
     joints, names = metric_joints(row), part_names(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
     built = []
-    for part, unit_mesh in enumerate(part_meshes(item.rows, target.options)):
-        mesh = Mesh(row.to_metres(unit_mesh.vertices) - at[part], unit_mesh.faces)
+    for part, unit_mesh in enumerate(part_meshes(item.rows, target.options, colours=True)):
+        mesh = replace(unit_mesh, vertices=row.to_metres(unit_mesh.vertices) - at[part])
         joint = joints[part - 1] if part else None
         hulls = convex_pieces(mesh) if target.options.collision else ()
         solid = inertia(mesh, DENSITY)
@@ -130,14 +131,41 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
     return order
 
 
-def write_meshes(item: Item, target: Target, part: int, body: Body) -> list[str]:
-    """Write a part's meshes as OBJ files, and return their names in the folder `meshes`, without
-    the ending: what is seen, then the convex ones."""
-    names = [f"part_{part}", *(f"part_{part}_convex_{k}" for k in range(len(body.hulls)))]
-    for name, mesh in zip(names, (body.mesh, *body.hulls), strict=True):
-        text = obj_text([(mesh.vertices, mesh.faces)])
-        target.write(f"{item.key}/meshes/{name}.obj", text.encode())
-    return names
+def write_meshes(
+    item: Item, target: Target, part: int, body: Body, *, apart: bool = False
+) -> tuple[dict[str, Drawn | None], list[str]]:
+    """Write a part's meshes as OBJ files in the folder `meshes`; `apart` is a file a colour, where
+    there are several, which are else materials in a file beside it.
+
+    Return their names, without the ending: what is seen, with the one colour that it has, if any;
+    and the convex ones.
+    """
+    mesh, name = body.mesh, f"part_{part}"
+    looks = [] if mesh.colours is None else drawn(mesh, part)
+    visuals: dict[str, Drawn | None] = {name: looks[0] if len(looks) == 1 else None}
+    files = {f"{name}.obj": obj_text([(mesh.vertices, mesh.faces)])}
+    if len(looks) > 1 and apart:
+        shown = [look for look in looks if look.area > _SPECK]
+        visuals = {f"{name}_colour_{k}": look for k, look in enumerate(shown)}
+        files = {}
+        for file, look in zip(visuals, shown, strict=True):
+            used, corners = np.unique(mesh.faces[look.faces], return_inverse=True)
+            used = np.append(used, used[-1:]) if len(used) < 4 else used  # MuJoCo's fewest
+            files[f"{file}.obj"] = obj_text([(mesh.vertices[used], corners.reshape(-1, 3))])
+    elif len(looks) > 1:
+        texts = [f"mtllib {name}.mtl\n", obj_text([(mesh.vertices, mesh.faces[:0])])]
+        for look in looks:
+            faces = obj_text([(mesh.vertices[:0], mesh.faces[look.faces])])
+            texts += [f"usemtl {look.colour[1:]}\n", faces]
+        files = {f"{name}.obj": "".join(texts)}
+        kinds = [f"newmtl {look.colour[1:]}\nKd {numbers(look.rgba[:3])}\n" for look in looks]
+        files[f"{name}.mtl"] = "".join(kinds)
+    collisions = [f"{name}_convex_{k}" for k in range(len(body.hulls))]
+    for file, hull in zip(collisions, body.hulls, strict=True):
+        files[f"{file}.obj"] = obj_text([(hull.vertices, hull.faces)])
+    for file, text in files.items():
+        target.write(f"{item.key}/meshes/{file}", text.encode())
+    return visuals, collisions
 
 
 def numbers(values: Sequence[float] | Floats) -> str:

@@ -5,25 +5,24 @@ Lengths are metres in the model's own frame.
 
 import numpy as np
 
-from articugen.core.colours import colour_of
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
-from articugen.export.parts import metric_joints, part_meshes
+from articugen.export.parts import drawn, metric_joints, part_meshes
 from articugen.export.target import Target
 from articugen.meshes.glb import Moving, Part, glb_of
-from articugen.pictures.shading import linear
 
 
 def _write(item: Item, target: Target) -> None:
     row = canonical(item.rows)
     moving = {j.part: j for j in metric_joints(row)}
     parts = []
-    for k, mesh in enumerate(part_meshes(item.rows, target.options)):
+    for k, mesh in enumerate(part_meshes(item.rows, target.options, colours=True)):
         vertices, joint = row.to_metres(mesh.vertices), moving.get(k)
         name = joint.name if joint else row.parts[0].name or "part_0"
         how = joint and Moving(joint.name, joint.kind, joint.axis, joint.lower, joint.upper)
         hangs = (joint.parent, joint.pivot) if joint else (0, np.zeros(3))
-        parts.append(Part(name, *hangs, vertices, mesh.faces, linear(colour_of(k)), how))
+        looks = [(look.light, mesh.faces[look.faces]) for look in drawn(mesh, k)]
+        parts.append(Part(name, *hangs, vertices, looks, how))
     about = {"category": row.category, "object_id": row.object_id}
     target.write(f"{item.key}.glb", glb_of(item.key.rpartition("/")[2], parts, about))
 

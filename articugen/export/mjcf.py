@@ -6,9 +6,12 @@ and a drawer would stick in the hull of its cabinet. Parts that share a joint ne
 
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from articugen.export.assembly import (
     DENSITY,
     SURFACE_FRICTION,
+    Inertia,
     bodies,
     from_the_root,
     numbers,
@@ -57,10 +60,18 @@ def _write(item: Item, target: Target) -> None:
             about |= {"range": numbers([joint.lower, joint.upper]), "solreflimit": _STOP}
             about |= {"damping": damping, "frictionloss": friction, "solimpfriction": _STUCK}
             ET.SubElement(placed[part], "joint", about)
-        for k, mesh in enumerate(write_meshes(item, target, part, body)):
-            exact = {} if k else {"inertia": "exact"}
-            ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj", **exact})
-            ET.SubElement(placed[part], "geom", {**(_FELT if k else _SEEN), "mesh": mesh})
+        visuals, collisions = write_meshes(item, target, part, body, apart=True)
+        whole = f"part_{part}" in visuals
+        if not whole:  # its pieces enclose nothing
+            _add_inertia(placed[part], body.inertia)
+        for mesh, look in visuals.items():
+            how = {"inertia": "exact" if whole else "shell"}
+            ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj", **how})
+            colour = {"rgba": numbers(look.rgba)} if look else {}
+            ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": mesh, **colour})
+        for mesh in collisions:
+            ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj"})
+            ET.SubElement(placed[part], "geom", {**_FELT, "mesh": mesh})
     contact = ET.SubElement(root, "contact")
     for part, body in enumerate(parts):
         if body.joint is not None:
@@ -68,6 +79,14 @@ def _write(item: Item, target: Target) -> None:
             ET.SubElement(contact, "exclude", body1=above, body2=names[part])
     ET.indent(root)
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
+
+
+def _add_inertia(body: ET.Element, inertia: Inertia) -> None:
+    tensor = inertia.tensor
+    moments = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+    stated = {"pos": numbers(inertia.center), "mass": numbers([inertia.mass])}
+    stated["fullinertia"] = " ".join(f"{moment:.12g}" for moment in moments)
+    ET.SubElement(body, "inertial", stated)
 
 
 FORMAT = Format(

@@ -23,10 +23,14 @@ def _write(item: Item, target: Target) -> None:
         ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
         upper = zip(_MOMENTS, inertia.tensor[np.triu_indices(3)], strict=True)
         ET.SubElement(inertial, "inertia", {name: f"{moment:.12g}" for name, moment in upper})
-        for k, mesh in enumerate(write_meshes(item, target, part, body)):
-            shape = ET.SubElement(link, "collision" if k else "visual")
+        visuals, collisions = write_meshes(item, target, part, body)
+        for mesh in (*visuals, *collisions):
+            shape = ET.SubElement(link, "visual" if mesh in visuals else "collision")
             geometry = ET.SubElement(shape, "geometry")
             ET.SubElement(geometry, "mesh", filename=f"meshes/{mesh}.obj")
+            if look := visuals.get(mesh):
+                material = ET.SubElement(shape, "material", name=look.colour[1:])
+                ET.SubElement(material, "color", rgba=numbers(look.rgba))
     for part in range(1, len(parts)):
         _add_joint(robot, part, parts)
     ET.indent(robot)

@@ -5,22 +5,21 @@ wants them, posed canonically; they collide where convex meshes are asked for.
 """
 
 import tempfile
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from articugen.core.colours import colour_of
 from articugen.core.records import Mesh
 from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.parts import unique
+from articugen.export.parts import Drawn, drawn, unique
 from articugen.export.target import Target
 from articugen.pictures.layout import png
 from articugen.pictures.portrait import parts_portrait
-from articugen.pictures.shading import linear
 from articugen.store.dataset import DataSet
 
 _QCODES = {
@@ -44,10 +43,12 @@ def _write(item: Item, target: Target) -> None:
         parts = bodies(item, target)
         _fill(path, name, item, parts)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-    faces = [body.unit_mesh.triangles for body in parts]
+    looks = [(body, look) for k, body in enumerate(parts) for look in drawn(body.unit_mesh, k)]
+    faces = [body.unit_mesh.triangles[look.faces] for body, look in looks]
     group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
-    drawn = parts_portrait(np.concatenate(faces), group, 256)
-    target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(drawn))
+    colours = [look.colour for _, look in looks]
+    picture = parts_portrait(np.concatenate(faces), group, 256, colours)
+    target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(picture))
 
 
 def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:
@@ -129,9 +130,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    colour = Gf.Vec3f(*linear(colour_of(part)).tolist())
-    _bind_material(prim, colour)
-    _add_mesh(stage, f"{path}/visual", body.mesh).CreateDisplayColorAttr([colour])
+    _draw(prim, _add_mesh(stage, f"{path}/visual", body.mesh), drawn(body.mesh, part))
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -140,11 +139,33 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
 
 
-def _bind_material(prim: Any, colour: Any) -> None:
-    """Give a part one material of its own, for what is seen of it and for what touches it."""
+def _draw(prim: Any, mesh: Any, looks: Sequence[Drawn]) -> None:
+    """Give a part's `mesh` its colours. The first is the part's own, for what touches it; of
+    several each has the material of a subset of the faces."""
+    Gf, UsdGeom, UsdShade, Vt = _pxr("Gf", "UsdGeom", "UsdShade", "Vt")
+
+    colours = [Gf.Vec3f(*look.light.tolist()) for look in looks]
+    _bind_material(prim, prim.GetName(), colours[0])
+    if len(looks) == 1:
+        mesh.CreateDisplayColorAttr(colours)
+        return
+    shown = np.zeros((sum(len(look.faces) for look in looks), 3), np.float32)
+    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    for k, (look, colour) in enumerate(zip(looks, colours, strict=True)):
+        shown[look.faces] = look.light
+        faces = Vt.IntArray.FromNumpy(look.faces.astype(np.int32))
+        subset = binding.CreateMaterialBindSubset(f"colour_{k}", faces)
+        _bind_material(subset.GetPrim(), f"{prim.GetName()}_{k}", colour)
+    binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
+    primvar.Set(Vt.Vec3fArray.FromNumpy(shown))
+
+
+def _bind_material(prim: Any, name: str, colour: Any) -> None:
+    """Bind a new material, for what is seen of it and for what touches it."""
     Sdf, UsdPhysics, UsdShade = _pxr("Sdf", "UsdPhysics", "UsdShade")
 
-    path = prim.GetParent().GetPath().AppendPath(f"Looks/{prim.GetName()}")
+    path = prim.GetStage().GetDefaultPrim().GetPath().AppendPath(f"Looks/{name}")
     material = UsdShade.Material.Define(prim.GetStage(), path)
     shader = UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
     shader.CreateIdAttr("UsdPreviewSurface")

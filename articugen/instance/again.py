@@ -10,11 +10,12 @@ from articugen.core.files import check_place
 from articugen.core.geometry import apply
 from articugen.core.recipe import Recipe
 from articugen.core.records import ArticulatedObject, Mesh, ResolvedObject
-from articugen.fusion import SOLIDS, PosedSolids
+from articugen.fusion import SOLIDS, PosedSolids, face_areas
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.mesh_file import check_format, export
+from articugen.meshes.painting import coloured_like, few
 from articugen.sources import readers
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
@@ -39,9 +40,11 @@ def _resolved(obj: ArticulatedObject, settings: CategorySettings, recipe: Recipe
     return articulation.resolve(obj, recipe.articulation, **choice)
 
 
-def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject, CategorySettings]:
-    """Return the model that an object of the data set was made of, and what its source says of how
-    it moves.
+def source_again(
+    manifest: Manifest, object_id: str, *, colours: bool = False
+) -> tuple[ArticulatedObject, ObjectRef]:
+    """Return the model that an object of the data set was made of, with its `colours` even where
+    the data have none, and its reference.
 
     Raises:
         ArticugenError: no such object; its source is gone or has changed; other code made it.
@@ -57,17 +60,24 @@ def source_again(manifest: Manifest, object_id: str) -> tuple[ArticulatedObject,
     if changed:
         raise ArticugenError(f"{object_id}: {changed}; only such a version can make it again")
     recipe = Recipe.model_validate_json(manifest.recipe)
-    obj = readers.load(ref, colours=recipe.shows_colours)
-    if obj.sha256 != entry.input_sha256:
+    obj = readers.load(ref, colours=colours or recipe.shows_colours)
+    unseen = colours and not recipe.shows_colours  # then files of colours count in no digest
+    if (readers.digest(ref) if unseen else obj.sha256) != entry.input_sha256:
         raise InvalidSource(f"{object_id}: its files under {ref.location} have changed since")
-    return obj, ref.settings
+    return obj, ref
 
 
-def prepared_again(manifest: Manifest, object_id: str) -> Prepared:
-    """Make again what the instances of one object of the data set share; see `source_again`."""
+def prepared_again(manifest: Manifest, object_id: str, *, colours: bool = False) -> Prepared:
+    """Make again what the instances of one object of the data set share; see `source_again`. With
+    `colours` its `extras` have them where the model, or we for a bundled one, state some."""
     recipe = Recipe.model_validate_json(manifest.recipe)
-    obj, settings = source_again(manifest, object_id)
-    return prepare(_resolved(obj, settings, recipe), recipe.for_one_object(), manifest.seed)
+    obj, ref = source_again(manifest, object_id, colours=colours)
+    if colours:
+        stated = ref.is_made or any(link.mesh.colours is not None for link in obj.links)
+        sampling = recipe.sampling.model_copy(update={"surface_color": stated})
+        images = recipe.images.model_copy(update={"colours": "parts"})
+        recipe = recipe.model_copy(update={"sampling": sampling, "images": images})
+    return prepare(_resolved(obj, ref.settings, recipe), recipe.for_one_object(), manifest.seed)
 
 
 def write_meshes(
@@ -101,11 +111,17 @@ def write_meshes(
     return {place: len(mesh.faces) for place, mesh in meshes.items()}
 
 
-def part_meshes(prepared: Prepared, resolution: int) -> Iterator[Mesh]:
-    """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance."""
+def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -> Iterator[Mesh]:
+    """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance. In
+    the `colours` of the faces that it is of, if it is prepared with some."""
     for part, solid in enumerate(prepared.own):
         alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
         try:
-            yield extract_mesh(alone, resolution)
+            mesh = extract_mesh(alone, resolution)
         except RejectedInstance as error:
             raise RejectedInstance(f"part {part}: {error}") from None
+        if colours and len(prepared.extras.colours):
+            whole, its = prepared.mesh, prepared.mesh.part_of_face == part
+            some = few(prepared.extras.colours[its], face_areas(whole.vertices, whole.faces[its]))
+            mesh = coloured_like(mesh, whole.vertices[whole.faces[its]], some)
+        yield mesh

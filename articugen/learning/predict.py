@@ -133,7 +133,8 @@ def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT)
             most = max(moving.lower + _SHOWN[JointKind(kind)] * unit, 0.0)
             how = Moving(moving.name, moving.kind, np.asarray(moving.axis), moving.lower, most)
         vertices, faces = _welded(corners) if is_mesh else (corners[:, 0], None)
-        parts.append(Part(f"part_{i}", 0, origin, vertices, faces, linear(colour_of(i)), how))
+        drawn = [(linear(colour_of(i)), faces)]
+        parts.append(Part(f"part_{i}", 0, origin, vertices, drawn, how))
     write_atomically(folder / "input.glb", glb_of("input", parts))
     if not is_mesh:
         return [folder / "input.glb"]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Floats, Indices, Ints
 from articugen.core.geometry import points_on_triangles
 from articugen.core.jit import dot, helper, kernel, minus, vector
 
@@ -26,18 +26,25 @@ def distance(points: Floats, triangles: Floats) -> Floats:
 
     Points count as triangles whose corners coincide.
     """
-    if not len(triangles) or not len(points):
-        return np.full(len(points), np.inf)
-    order = np.argsort(_along_a_curve(points))  # what is near the last one is near the next
-    far = np.empty(len(points))
-    far[order] = _distances(points[order], *_tree(np.asarray(triangles, np.float64)))
-    return far
+    return nearest(points, triangles)[0]
 
 
-def _tree(triangles: Floats) -> tuple[Floats, Floats]:
+def nearest(points: Floats, triangles: Floats) -> tuple[Floats, Indices]:
+    """Return the `distance` (n,), and (n,) which of the triangles is the nearest; -1 if none."""
+    far, which = np.full(len(points), np.inf), np.full(len(points), -1)
+    if len(triangles) and len(points):
+        along = np.argsort(_along_a_curve(points))  # what is near the last one is near the next
+        corners, boxes, order = _tree(np.asarray(triangles, np.float64))
+        far[along], place = _distances(points[along], corners, boxes)
+        which[along] = order[place]
+    return far, which
+
+
+def _tree(triangles: Floats) -> tuple[Floats, Floats, Indices]:
     """Return the triangles along a curve that fills space, so that neighbours in memory lie
-    together, and (2 L, 6) boxes around runs of them: node n has the children 2 n and 2 n + 1, from
-    1 on, and node L + i is the i-th of L leaves, a power of 2, which share the triangles evenly."""
+    together; (2 L, 6) boxes around runs of them: node n has the children 2 n and 2 n + 1, from
+    1 on, and node L + i is the i-th of L leaves, a power of 2, which share the triangles evenly;
+    and (F,) the number of each triangle."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     order = np.argsort(_along_a_curve(a + b + c))
     corners = triangles[order]
@@ -50,7 +57,7 @@ def _tree(triangles: Floats) -> tuple[Floats, Floats]:
         below, leaves = boxes[leaves : 2 * leaves], leaves // 2
         boxes[leaves : 2 * leaves, :3] = np.minimum(below[::2, :3], below[1::2, :3])
         boxes[leaves : 2 * leaves, 3:] = np.maximum(below[::2, 3:], below[1::2, 3:])
-    return corners, boxes
+    return corners, boxes, order
 
 
 def _along_a_curve(points: Floats) -> Ints:
@@ -65,7 +72,7 @@ def _along_a_curve(points: Floats) -> Ints:
 
 @kernel
 def _distances(points, corners, boxes):  # pragma: no cover - compiled
-    result = np.empty(len(points))
+    result, places = np.empty(len(points)), np.empty(len(points), np.int64)
     leaves, nearest = len(boxes) // 2, 0
     waiting, away = np.empty(64, np.int64), np.empty(64)
     for i in range(len(points)):
@@ -94,8 +101,8 @@ def _distances(points, corners, boxes):  # pragma: no cover - compiled
             waiting[left], away[left] = one, to_one  # the nearer one is looked at first
             waiting[left + 1], away[left + 1] = two, to_two
             left += 2
-        result[i] = best
-    return result
+        result[i], places[i] = best, nearest
+    return result, places
 
 
 @helper

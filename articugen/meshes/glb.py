@@ -52,8 +52,8 @@ class Part:
         parent: the number of the part that it hangs on; the first part hangs on none.
         origin: (3,) where its node stands: a point on its axis.
         vertices: (n, 3) metres, in the frame of the scene.
-        faces: (m, 3) its triangles; None where it is a cloud of points.
-        colour: (3,) linear, 0 to 1.
+        drawn: of each colour, (3,) linear, 0 to 1, the triangles (m, 3); or None where it is a
+            cloud of points.
         joint: None where it is fixed to its parent.
     """
 
@@ -61,8 +61,7 @@ class Part:
     parent: int
     origin: Floats
     vertices: Floats
-    faces: NDArray[np.integer] | None
-    colour: Floats
+    drawn: Sequence[tuple[Floats, NDArray[np.integer] | None]]
     joint: Moving | None = None
 
 
@@ -101,6 +100,7 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
     nodes: list[dict[str, Any]] = [
         {**root, "children": [1], **({"extras": extras} if extras else {})}
     ]
+    first = np.cumsum([0, *(len(part.drawn) for part in parts)]).tolist()
     shown = [k for k, part in enumerate(parts) if len(part.vertices)]
     for k, part in enumerate(parts):
         above = parts[part.parent].origin if k else part.origin
@@ -114,10 +114,11 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": nodes,
-        "meshes": [_mesh(parts[k], k, buffer) for k in shown],
+        "meshes": [_mesh(parts[k], k, first[k], buffer) for k in shown],
         "materials": [
-            {"pbrMetallicRoughness": {"baseColorFactor": [*part.colour.tolist(), 1.0], **_MATERIAL}}
+            {"pbrMetallicRoughness": {"baseColorFactor": [*colour.tolist(), 1.0], **_MATERIAL}}
             for part in parts
+            for colour, _ in part.drawn
         ],
         "animations": [
             _animation(part.joint, k, nodes[k + 1]["translation"], buffer)
@@ -134,15 +135,18 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
     return header + b"".join(chunks)
 
 
-def _mesh(part: Part, number: int, buffer: _Buffer) -> dict[str, Any]:
+def _mesh(part: Part, number: int, material: int, buffer: _Buffer) -> dict[str, Any]:
+    """Return the mesh of a part, all of whose colours, from that `material` on, share vertices."""
     place = (part.vertices - part.origin).astype(np.float32)
-    drawn: dict[str, Any] = {"attributes": {"POSITION": buffer.add(place, used_as=_VERTICES)}}
-    if part.faces is None:
-        drawn["mode"] = _POINTS
-    else:
-        corners = part.faces.astype(np.uint32).ravel()
-        drawn["indices"] = buffer.add(corners, used_as=_INDICES)
-    return {"name": f"part_{number}", "primitives": [{**drawn, "material": number}]}
+    points = {"attributes": {"POSITION": buffer.add(place, used_as=_VERTICES)}}
+    primitives: list[dict[str, Any]] = []
+    for k, (_, faces) in enumerate(part.drawn, material):
+        how = {"mode": _POINTS}
+        if faces is not None:
+            corners = faces.astype(np.uint32).ravel()
+            how = {"indices": buffer.add(corners, used_as=_INDICES)}
+        primitives.append({**points, **how, "material": k})
+    return {"name": f"part_{number}", "primitives": primitives}
 
 
 def _animation(

@@ -155,11 +155,14 @@ def solid_portrait(
     return shaded(picture, camera, coarse, fine, floor)
 
 
-def parts_portrait(triangles: Floats, part: Ints, size: int) -> Picture:
+def parts_portrait(
+    triangles: Floats, part: Ints, size: int, colours: Sequence[str] = ()
+) -> Picture:
     """Draw the triangles (F, 3, 3) of one object, which fills a picture of `size` pixels, each in
-    the colour of its part (F,)."""
+    the colour of its part (F,), or in that of `colours` by number."""
     corners = triangles.reshape(-1, 3)
-    solid = ColouredMesh(triangles, part, [colour_of(k) for k in range(part.max() + 1)])
+    shown = colours or [colour_of(k) for k in range(part.max() + 1)]
+    solid = ColouredMesh(triangles, part, shown)
     camera = tile_camera(corners, AZIMUTHS[0], size)
     return solid_portrait(solid, camera, float(corners[:, 2].min()))
 

@@ -87,8 +87,8 @@ def _maker(data: DataSet, shard: Path, object_id: str) -> Maker:
         manifest = beside if shard.name in {s.name for s in beside.shards} else None
     if manifest is None:
         raise InvalidSource(f"{shard.parent}: has no {MANIFEST_NAME} that names the source")
-    obj, settings = again.source_again(manifest, object_id)
-    model = Model(obj, settings.canonical, tuple(settings.movable))
+    obj, ref = again.source_again(manifest, object_id)
+    model = Model(obj, ref.settings.canonical, tuple(ref.settings.movable))
     recipe = Recipe.model_validate_json(manifest.recipe)
     return Maker(model, recipe.for_one_object(), manifest.seed)
 

@@ -1,0 +1,86 @@
+"""Colours of meshes: those of other faces carried over, few of them, and faces by colour."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from articugen.core.arrays import Bytes, Floats, Indices, Ints
+from articugen.core.records import Mesh
+
+MOST_COLOURS = 32
+"""Of a part: each is a material, a texture's could be thousands."""
+
+_HALVINGS = 10  # of an edge until the border of two colours on it is known
+
+
+class Coloured(NamedTuple):
+    """Numbers of the faces of a mesh that share a colour, sRGB."""
+
+    rgb: tuple[int, int, int]
+    faces: Indices
+
+
+def by_colour(mesh: Mesh) -> list[Coloured]:
+    """Return the faces of each colour, by the colours; none where the mesh has no colours."""
+    if mesh.colours is None:
+        return []
+    number, which = np.unique(_number(mesh.colours), return_inverse=True)
+    return [
+        Coloured((n >> 16, n >> 8 & 255, n & 255), np.flatnonzero(which == k))
+        for k, n in enumerate(number.tolist())
+    ]
+
+
+def _number(colours: Ints | Bytes) -> Ints:
+    return colours.astype(np.int64) @ np.array([65536, 256, 1])
+
+
+def few(colours: Bytes, weights: Floats) -> Bytes:
+    """Return colours (F, 3) as at most MOST_COLOURS: where they are more, the means by `weights`
+    (F,) of the cells of the finest even grid of colours that does."""
+    step = 1
+    while True:
+        cells, which = np.unique(_number(colours // step), return_inverse=True)
+        if len(cells) <= MOST_COLOURS:
+            break
+        step = max(step + 1, step * 5 // 4)
+    if step == 1:
+        return colours
+    share = weights + 1e-12  # of faces without area alone
+    means = [np.bincount(which, share * column) / np.bincount(which, share) for column in colours.T]
+    return np.stack(means, axis=1).round().astype(np.uint8)[which]
+
+
+def coloured_like(mesh: Mesh, triangles: Floats, colours: Bytes) -> Mesh:
+    """Return a fine mesh in the colours (F, 3) of the nearest of other `triangles` (F, 3, 3): cut
+    along where they change, as watertight as before."""
+    from articugen.meshes.distances import nearest  # noqa: PLC0415 - compiles; hulls need none
+
+    _, first, index = np.unique(_number(colours), return_index=True, return_inverse=True)
+    if len(first) == 1:
+        return replace(mesh, colours=np.tile(colours[:1], (len(mesh.faces), 1)))
+    at = index[nearest(mesh.vertices, triangles)[1]]
+    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2)  # each opposite a corner
+    crossed = at[sides[..., 0]] != at[sides[..., 1]]
+    edges, number = np.unique(sides[crossed], axis=0, return_inverse=True)
+    here, there = mesh.vertices[edges].swapaxes(0, 1).copy()
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (here + there)
+        same = index[nearest(middle, triangles)[1]] == at[edges[:, 0]]
+        here[same], there[~same] = middle[same], middle[~same]
+    cut = np.zeros(sides.shape[:2], np.int64)
+    cut[crossed] = len(mesh.vertices) + number.reshape(-1)
+    count = crossed.sum(axis=1)
+    kept, middle = count == 0, count == 3  # of three colours: their corners, and one in the middle
+    pieces = [mesh.faces[kept], cut[middle]]
+    looks = [at[mesh.faces[kept, 0]], at[mesh.faces[middle, 0]]]
+    for k in range(3):
+        a, b, c = np.roll(mesh.faces, -k, axis=1).T
+        _, ca, ab = np.roll(cut, -k, axis=1).T
+        lone = (count == 2) & ~crossed[:, k]
+        for some, corners in (lone | middle, (a, ab, ca)), (lone, (b, c, ab)), (lone, (c, ca, ab)):
+            pieces.append(np.stack(corners, axis=1)[some])
+            looks.append(at[corners[0][some]])
+    vertices = np.concatenate([mesh.vertices, 0.5 * (here + there)])
+    return Mesh(vertices, np.concatenate(pieces), colours[first[np.concatenate(looks)]])

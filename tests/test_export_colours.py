@@ -1,0 +1,265 @@
+"""Colours of exports, face by face, by each format's own reader, beside those of the model."""
+
+import json
+import re
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+from PIL import Image
+from test_colours import BOX, MTL, URDF, png
+
+import articugen as ag
+from articugen.core.colours import colour_of, plain_colour
+from articugen.meshes.marching_cubes import zero_level
+from articugen.meshes.painting import MOST_COLOURS, by_colour, coloured_like, few
+from articugen.meshes.simpler import simpler
+from articugen.pictures.shading import linear
+from tests.golden import CABINET
+
+RECIPE = {
+    "articulation": {"states": 1}, "views": {"count": 30, "resolution": 128},
+    "sampling": {"grids": [], "surface_points": 256, "uniform_points": 64, "near_points": 64},
+}  # fmt: skip
+RED, GREEN, BLUE = [255, 0, 0], [51, 153, 0], [0, 0, 255]
+FORMATS = ("glb", "usd", "mjcf", "urdf")
+
+
+def data_set(folder, files, category="slide"):
+    """A data set of the model of these files, whose recipe asks for no colours."""
+    folder.mkdir(exist_ok=True)
+    for name, content in files.items():
+        data = content if isinstance(content, bytes) else content.encode()
+        (folder / name).write_bytes(data)
+    source = str(folder / next(name for name in files if name.endswith(".urdf")))
+    ag.generate(category, source=source, out=folder / "data", recipe=RECIPE, jobs=0)
+    return folder / "data" / category
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory):
+    files = {"slide.urdf": URDF, "box.obj": BOX, "box.mtl": MTL}
+    return data_set(tmp_path_factory.mktemp("slide"), files)
+
+
+def exported(data, to, folder):
+    """The one file of an export that names all its others."""
+    ends = {"glb": ".glb", "usd": ".usdc", "mjcf": ".xml", "urdf": ".urdf"}
+    ag.export(data, to, folder / to, resolution=64)
+    (path,) = folder.glob(f"{to}/**/*{ends[to]}")
+    return path
+
+
+def displayed(linear):
+    """sRGB bytes of linear light, which must be bytes all but exactly."""
+    x = np.asarray(linear, np.float64)
+    x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+    return whole(255.0 * x)
+
+
+def whole(values):
+    np.testing.assert_allclose(values, np.round(values), atol=1e-3)
+    return np.round(values).astype(int)
+
+
+def chunks(path):
+    """What a GLB says, and its binary part."""
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def in_gltf(path):
+    """Of each part the corners (F, 3, 3) of its faces, before it is turned y up, and (F, 3)."""
+    scene, blob = chunks(path)
+
+    def array(number, dtype):
+        accessor = scene["accessors"][number]
+        view = scene["bufferViews"][accessor["bufferView"]]
+        flat = np.frombuffer(blob[view["byteOffset"] :][: view["byteLength"]], dtype)
+        return flat.reshape(accessor["count"], -1)
+
+    for mesh in scene["meshes"]:
+        triangles, colours = [], []
+        for primitive in mesh["primitives"]:
+            vertices = array(primitive["attributes"]["POSITION"], np.float32)
+            triangles.append(vertices[array(primitive["indices"], np.uint32).reshape(-1, 3)])
+            how = scene["materials"][primitive["material"]]["pbrMetallicRoughness"]
+            assert (how["metallicFactor"], how["baseColorFactor"][3]) == (0.0, 1.0)
+            colours.append(np.tile(displayed(how["baseColorFactor"][:3]), (len(triangles[-1]), 1)))
+        yield np.concatenate(triangles), np.concatenate(colours)
+
+
+def in_usd(path):
+    pytest.importorskip("pxr", reason="make exporters installs it")
+    from pxr import Usd, UsdGeom, UsdShade  # noqa: PLC0415
+
+    stage = Usd.Stage.Open(str(path))
+    for prim in (prim for prim in stage.Traverse() if prim.GetName() == "visual"):
+        mesh, binding = UsdGeom.Mesh(prim), UsdShade.MaterialBindingAPI(prim)
+        faces = np.reshape(mesh.GetFaceVertexIndicesAttr().Get(), (-1, 3))
+        bound, subsets = np.zeros((len(faces), 3)), binding.GetMaterialBindSubsets()
+        some = [(np.arange(len(faces)), prim)] if not subsets else []
+        some += [(np.array(s.GetIndicesAttr().Get()), s.GetPrim()) for s in subsets]
+        assert sorted(np.concatenate([which for which, _ in some])) == list(range(len(faces)))
+        for which, of in some:
+            material, _ = UsdShade.MaterialBindingAPI(of).ComputeBoundMaterial()
+            bound[which] = material.ComputeSurfaceSource()[0].GetInput("diffuseColor").Get()
+        shown = np.array(mesh.GetDisplayColorPrimvar().ComputeFlattened())
+        np.testing.assert_array_equal(np.broadcast_to(shown, bound.shape), bound)
+        yield np.array(mesh.GetPointsAttr().Get())[faces], displayed(bound)
+
+
+def in_mujoco(path):
+    mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    parts = {}
+    for geom in np.flatnonzero(model.geom_group == 2):
+        mesh = model.geom_dataid[geom]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        turn = data.geom_xmat[geom].reshape(3, 3)
+        vertices = model.mesh_vert[start : start + count] @ turn.T + data.geom_xpos[geom]
+        start, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        triangles = vertices[model.mesh_face[start : start + count]]
+        colours = np.tile(whole(255.0 * model.geom_rgba[geom, :3]), (count, 1))
+        parts.setdefault(model.geom_bodyid[geom], []).append((triangles, colours))
+    for pieces in parts.values():
+        yield tuple(np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+
+
+def in_urdf(path):
+    robot = yourdfpy.URDF.load(str(path))
+    for link in robot.robot.links:
+        (visual,) = link.visuals
+        scene = trimesh.load_scene(path.parent / visual.geometry.mesh.filename)
+        pieces = scene.dump()
+        if not visual.material:
+            colours = [piece.visual.material.diffuse[:3] for piece in pieces]
+        else:  # of the URDF, where the mesh has none
+            assert not (path.parent / visual.geometry.mesh.filename).with_suffix(".mtl").exists()
+            colours = [whole(255.0 * visual.material.color.rgba[:3])]
+        sizes = [len(piece.faces) for piece in pieces]
+        triangles = np.concatenate([piece.triangles for piece in pieces])
+        yield triangles, np.repeat(colours, sizes, axis=0)
+
+
+READ = dict(zip(FORMATS, (in_gltf, in_usd, in_mujoco, in_urdf), strict=True))
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_each_face_has_the_colour_of_the_model_s_face_there(slide, tmp_path, to):
+    wall, bolt = READ[to](exported(slide, to, tmp_path))
+    assert (bolt[1] == BLUE).all()
+    triangles, colours = wall
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(across, axis=1) / 2.0
+    flat = np.abs(across).max(axis=1) > 1.999 * area  # not cut off an edge
+    red = (across[:, 0] < -area) | (np.abs(across[:, 1]) > area)
+    np.testing.assert_array_equal(colours[flat], np.where(red[:, None], RED, GREEN)[flat])
+    assert area[flat].sum() > 5.5
+    assert area[(colours == RED).all(axis=1)].sum() == pytest.approx(3.0, rel=0.03)
+
+
+def test_parts_of_several_colours_weigh_in_mujoco_what_they_do_in_urdf(slide, tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
+    model = mujoco.MjModel.from_xml_path(str(exported(slide, "mjcf", tmp_path)))
+    robot = yourdfpy.URDF.load(str(exported(slide, "urdf", tmp_path)))
+    links = [link.inertial for link in robot.robot.links]
+    np.testing.assert_allclose(model.body_mass[1:], [link.mass for link in links], rtol=1e-6)
+    tensors = [np.linalg.eigvalsh(link.inertia) for link in links]
+    np.testing.assert_allclose(np.sort(model.body_inertia[1:]), tensors, rtol=1e-5)
+
+
+@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+def test_what_is_exported_has_its_colours_as_a_source(slide, tmp_path, to):
+    maker = ag.Maker(ag.load(exported(slide, to, tmp_path)), {
+        **RECIPE, "sampling": {**RECIPE["sampling"], "surface_color": True},
+    })  # fmt: skip
+    row = maker[0].instance
+    assert {tuple(c) for c in row.surface_color[row.surface_part == 1]} == {tuple(BLUE)}
+    assert {tuple(c) for c in row.surface_color[row.surface_part == 0]} == {
+        tuple(RED),
+        tuple(GREEN),
+    }
+
+
+def test_a_model_without_colours_has_those_of_our_pictures_and_states_none(tmp_path):
+    data = data_set(tmp_path / "m", {"cabinet.urdf": CABINET}, "boxes")
+    scene, _ = chunks(exported(data, "glb", tmp_path))
+    for k, material in enumerate(scene["materials"]):
+        factor = material["pbrMetallicRoughness"]["baseColorFactor"]
+        assert factor == [*linear(colour_of(k)).tolist(), 1.0]
+    assert [mesh["primitives"][0]["material"] for mesh in scene["meshes"]] == [0, 1, 2]
+    for to in ("mjcf", "urdf"):
+        text = exported(data, to, tmp_path).read_text()
+        assert "rgba" not in text
+    assert not list(tmp_path.rglob("*.mtl"))
+
+
+def test_bundled_objects_have_plain_colours(tmp_path):
+    ag.generate("oven", out=tmp_path, recipe=RECIPE, objects=1, jobs=0)
+    parts = in_gltf(exported(tmp_path / "oven", "glb", tmp_path))
+    colours = [np.unique(part, axis=0).tolist() for _, part in parts]
+    assert colours == [[list(plain_colour("oven", name))] for name in ("body", "door")]
+
+
+def test_a_texture_s_thousand_colours_become_few(tmp_path):
+    """A box with a lid of 30 x 30 fields, each another colour; a material's name may do harm."""
+    pixels = np.random.default_rng(0).integers(0, 256, (30, 30, 3)).astype(np.uint8)
+    n = np.arange(31)
+    lines = [BOX.replace("box.mtl", "t.mtl").replace("f 2 6 8 4\n", "usemtl ../<&\"'> $(x)")]
+    lines += [f"v {x / 30} {y / 30} 1\nvt {x / 30} {y / 30}" for y in n for x in n]
+    for at in (31 * y + x + 1 for y in range(30) for x in range(30)):
+        lines.append("f " + " ".join(f"{k + 8}/{k}" for k in (at, at + 1, at + 32, at + 31)))
+    mtl = MTL + "newmtl ../<&\"'> $(x)\nmap_Kd t.png\n"
+    files = {"slide.urdf": URDF, "box.obj": "\n".join(lines), "t.mtl": mtl}
+    data = data_set(tmp_path / "m", {**files, "t.png": png(Image.fromarray(pixels))})
+    for to in FORMATS:
+        board, bolt = READ[to](exported(data, to, tmp_path))
+        assert 8 <= len(np.unique(board[1], axis=0)) <= MOST_COLOURS
+        assert (bolt[1] == BLUE).all()
+    names = re.findall(r"(?:newmtl|usemtl) (.*)", next(tmp_path.rglob("part_0.mtl")).read_text())
+    assert all(re.fullmatch("[0-9a-f]{6}", name) for name in names)
+
+
+def test_few_colours_stay_and_many_become_means():
+    rng = np.random.default_rng(0)
+    some = rng.integers(0, 256, (MOST_COLOURS, 3)).astype(np.uint8)
+    assert few(some, np.ones(len(some))) is some
+    many = rng.integers(0, 256, (4000, 3)).astype(np.uint8)
+    order = rng.permutation(len(many))
+    fewer = few(many, np.ones(len(many)))
+    assert 8 <= len(np.unique(fewer, axis=0)) <= MOST_COLOURS
+    assert np.abs(fewer.astype(int) - many).mean() < 32
+    np.testing.assert_array_equal(few(many[order], np.ones(len(many))), fewer[order])
+    pair = np.repeat(np.array([[0, 0, 0], [4, 0, 0]], np.uint8), [1, 1], axis=0)
+    both = np.concatenate([pair, np.arange(100, 250, 2, np.uint8)[:, None].repeat(3, 1)])
+    weights = np.r_[3.0, 1.0, np.ones(75)]
+    assert few(both, weights)[:2].tolist() == [[1, 0, 0]] * 2
+
+
+def test_borders_of_colours_are_where_those_of_the_model_are():
+    grid = -np.ones((40, 40, 40))
+    grid[5:35, 5:35, 10:20] = 1.0
+    mesh = zero_level(grid)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    x = 0.5 * low[0] + 0.5 * high[0] + 0.0123
+    halves = [
+        trimesh.creation.box(bounds=b) for b in ((low, [x, *high[1:]]), ([x, *low[1:]], high))
+    ]
+    triangles = np.concatenate([half.triangles for half in halves])
+    keep = ~(np.abs(triangles[..., 0] - x) < 1e-9).all(axis=1)
+    colours = np.repeat(np.array([RED, BLUE], np.uint8), [12, 12], axis=0)
+    cut = coloured_like(mesh, triangles[keep], colours[keep])
+    for painted in (cut, simpler(cut, 1e-4)):
+        assert trimesh.Trimesh(painted.vertices, painted.faces, process=False).is_watertight
+        blue, red = by_colour(painted)
+        assert [blue.rgb, red.rgb] == [tuple(BLUE), tuple(RED)]
+        assert painted.triangles[blue.faces][..., 0].min() > x - 2e-4
+        assert painted.triangles[red.faces][..., 0].max() < x + 2e-4
+    plain = simpler(mesh, 1e-4)
+    assert len(plain.faces) < len(painted.faces) < 2 * len(plain.faces)
