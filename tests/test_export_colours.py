@@ -14,7 +14,7 @@ from test_colours import BOX, MTL, URDF, png
 import articugen as ag
 from articugen.core.colours import colour_of, plain_colour
 from articugen.meshes.marching_cubes import zero_level
-from articugen.meshes.painting import MOST_COLOURS, by_colour, coloured_like, few
+from articugen.meshes.painting import MOST_COLOURS, coloured_like, few, looks
 from articugen.meshes.simpler import simpler
 from articugen.pictures.shading import linear
 from tests.golden import CABINET
@@ -257,8 +257,8 @@ def test_borders_of_colours_are_where_those_of_the_model_are():
     cut = coloured_like(mesh, triangles[keep], colours[keep])
     for painted in (cut, simpler(cut, 1e-4)):
         assert trimesh.Trimesh(painted.vertices, painted.faces, process=False).is_watertight
-        blue, red = by_colour(painted)
-        assert [blue.rgb, red.rgb] == [tuple(BLUE), tuple(RED)]
+        red, blue = looks(painted)
+        assert [red.colour, blue.colour] == ["#ff0000", "#0000ff"]
         assert painted.triangles[blue.faces][..., 0].min() > x - 2e-4
         assert painted.triangles[red.faces][..., 0].max() < x + 2e-4
     plain = simpler(mesh, 1e-4)

@@ -26,9 +26,14 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def light_of(rgb: Sequence[int]) -> Floats:
-    """Return sRGB bytes as linear light, from 0 to 1 (IEC 61966-2-1); pictures take a power."""
-    share = np.asarray(rgb) / 255.0
+def linear(colour: str) -> Floats:
+    """Return an #rrggbb colour as linear light, (3,) in [0, 1], by the power that pictures take."""
+    return (np.array(rgb(colour)) / 255.0) ** 2.2
+
+
+def srgb_linear(colour: str) -> Floats:
+    """Return the same by sRGB's own curve (IEC 61966-2-1), as files of others have it."""
+    share = np.array(rgb(colour)) / 255.0
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
 
 

@@ -13,10 +13,11 @@ import trimesh
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.parts import Drawn, MetricJoint, drawn, metric_joints, part_meshes, part_names
+from articugen.export.parts import MetricJoint, metric_joints, part_meshes, part_names
 from articugen.export.target import Target
 from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.model_text import obj_text
+from articugen.meshes.painting import Look, looks
 
 DENSITY = 500.0
 """kg/m^3, of wood. Models do not state theirs; mass and inertia follow from it and the volume."""
@@ -133,7 +134,7 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
 
 def write_meshes(
     item: Item, target: Target, part: int, body: Body, *, apart: bool = False
-) -> tuple[dict[str, Drawn | None], list[str]]:
+) -> tuple[dict[str, Look | None], list[str]]:
     """Write a part's meshes as OBJ files in the folder `meshes`; `apart` is a file a colour, where
     there are several, which are else materials in a file beside it.
 
@@ -141,24 +142,24 @@ def write_meshes(
     and the convex ones.
     """
     mesh, name = body.mesh, f"part_{part}"
-    looks = [] if mesh.colours is None else drawn(mesh, part)
-    visuals: dict[str, Drawn | None] = {name: looks[0] if len(looks) == 1 else None}
+    some = [] if mesh.colours is None else looks(mesh)
+    visuals: dict[str, Look | None] = {name: some[0] if len(some) == 1 else None}
     files = {f"{name}.obj": obj_text([(mesh.vertices, mesh.faces)])}
-    if len(looks) > 1 and apart:
-        shown = [look for look in looks if look.area > _SPECK]
+    if len(some) > 1 and apart:
+        shown = [look for look in some if look.area > _SPECK]
         visuals = {f"{name}_colour_{k}": look for k, look in enumerate(shown)}
         files = {}
         for file, look in zip(visuals, shown, strict=True):
             used, corners = np.unique(mesh.faces[look.faces], return_inverse=True)
             used = np.append(used, used[-1:]) if len(used) < 4 else used  # MuJoCo's fewest
             files[f"{file}.obj"] = obj_text([(mesh.vertices[used], corners.reshape(-1, 3))])
-    elif len(looks) > 1:
+    elif len(some) > 1:
         texts = [f"mtllib {name}.mtl\n", obj_text([(mesh.vertices, mesh.faces[:0])])]
-        for look in looks:
+        for look in some:
             faces = obj_text([(mesh.vertices[:0], mesh.faces[look.faces])])
             texts += [f"usemtl {look.colour[1:]}\n", faces]
         files = {f"{name}.obj": "".join(texts)}
-        kinds = [f"newmtl {look.colour[1:]}\nKd {numbers(look.rgba[:3])}\n" for look in looks]
+        kinds = [f"newmtl {look.colour[1:]}\nKd {numbers(look.rgba[:3])}\n" for look in some]
         files[f"{name}.mtl"] = "".join(kinds)
     collisions = [f"{name}_convex_{k}" for k in range(len(body.hulls))]
     for file, hull in zip(collisions, body.hulls, strict=True):

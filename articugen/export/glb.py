@@ -7,9 +7,10 @@ import numpy as np
 
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
-from articugen.export.parts import drawn, metric_joints, part_meshes
+from articugen.export.parts import metric_joints, part_meshes
 from articugen.export.target import Target
 from articugen.meshes.glb import Moving, Part, glb_of
+from articugen.meshes.painting import looks
 
 
 def _write(item: Item, target: Target) -> None:
@@ -21,8 +22,8 @@ def _write(item: Item, target: Target) -> None:
         name = joint.name if joint else row.parts[0].name or "part_0"
         how = joint and Moving(joint.name, joint.kind, joint.axis, joint.lower, joint.upper)
         hangs = (joint.parent, joint.pivot) if joint else (0, np.zeros(3))
-        looks = [(look.light, mesh.faces[look.faces]) for look in drawn(mesh, k)]
-        parts.append(Part(name, *hangs, vertices, looks, how))
+        drawn = [(look.light, mesh.faces[look.faces]) for look in looks(mesh, k)]
+        parts.append(Part(name, *hangs, vertices, drawn, how))
     about = {"category": row.category, "object_id": row.object_id}
     target.write(f"{item.key}.glb", glb_of(item.key.rpartition("/")[2], parts, about))
 

@@ -7,20 +7,16 @@ its model as `verify --replay` does; or, where that cannot be, from the finest g
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Indices
-from articugen.core.colours import colour_of, light_of, rgb
+from articugen.core.arrays import Floats
 from articugen.core.errors import ArticugenError, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.records import Mesh
 from articugen.export.items import LeftOut, Options, canonical
 from articugen.meshes.marching_cubes import zero_level
-from articugen.meshes.painting import by_colour
 from articugen.meshes.simpler import simpler
-from articugen.pictures.shading import linear
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
@@ -53,36 +49,6 @@ def part_meshes(rows: DataSet, options: Options, *, colours: bool = False) -> tu
         return tuple(simpler(mesh, _WITHIN) for mesh in meshes)
     except RejectedInstance as error:
         raise LeftOut(f"{object_id}: {error}") from error
-
-
-class Drawn(NamedTuple):
-    """Faces of a mesh that are drawn in one colour: #rrggbb, and the same as linear light, (3,);
-    their area is in the mesh's units."""
-
-    colour: str
-    light: Floats
-    faces: Indices
-    area: float
-
-    @property
-    def rgba(self) -> list[float]:
-        """(4,) sRGB and opacity, from 0 to 1."""
-        return [*(channel / 255.0 for channel in rgb(self.colour)), 1.0]
-
-
-def drawn(mesh: Mesh, part: int) -> list[Drawn]:
-    """Return the faces of a part's mesh by their colours, the widest first; all in the part's own
-    where it has none."""
-    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if mesh.colours is None:
-        colour = colour_of(part)
-        return [Drawn(colour, linear(colour), np.arange(len(area)), float(area.sum()))]
-    looks = (
-        Drawn(f"#{bytes(look.rgb).hex()}", light_of(look.rgb), look.faces, area[look.faces].sum())
-        for look in by_colour(mesh)
-    )
-    return sorted(looks, key=lambda look: -look.area)
 
 
 def _from_grid(row: Row) -> tuple[Mesh, ...]:

@@ -16,8 +16,9 @@ from articugen.core.records import Mesh
 from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.parts import Drawn, drawn, unique
+from articugen.export.parts import unique
 from articugen.export.target import Target
+from articugen.meshes.painting import Look, looks
 from articugen.pictures.layout import png
 from articugen.pictures.portrait import parts_portrait
 from articugen.store.dataset import DataSet
@@ -43,10 +44,10 @@ def _write(item: Item, target: Target) -> None:
         parts = bodies(item, target)
         _fill(path, name, item, parts)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-    looks = [(body, look) for k, body in enumerate(parts) for look in drawn(body.unit_mesh, k)]
-    faces = [body.unit_mesh.triangles[look.faces] for body, look in looks]
+    drawn = [(body, look) for k, body in enumerate(parts) for look in looks(body.unit_mesh, k)]
+    faces = [body.unit_mesh.triangles[look.faces] for body, look in drawn]
     group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
-    colours = [look.colour for _, look in looks]
+    colours = [look.colour for _, look in drawn]
     picture = parts_portrait(np.concatenate(faces), group, 256, colours)
     target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(picture))
 
@@ -130,7 +131,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    _draw(prim, _add_mesh(stage, f"{path}/visual", body.mesh), drawn(body.mesh, part))
+    _draw(prim, _add_mesh(stage, f"{path}/visual", body.mesh), looks(body.mesh, part))
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -139,19 +140,19 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
 
 
-def _draw(prim: Any, mesh: Any, looks: Sequence[Drawn]) -> None:
+def _draw(prim: Any, mesh: Any, some: Sequence[Look]) -> None:
     """Give a part's `mesh` its colours. The first is the part's own, for what touches it; of
     several each has the material of a subset of the faces."""
     Gf, UsdGeom, UsdShade, Vt = _pxr("Gf", "UsdGeom", "UsdShade", "Vt")
 
-    colours = [Gf.Vec3f(*look.light.tolist()) for look in looks]
+    colours = [Gf.Vec3f(*look.light.tolist()) for look in some]
     _bind_material(prim, prim.GetName(), colours[0])
-    if len(looks) == 1:
+    if len(some) == 1:
         mesh.CreateDisplayColorAttr(colours)
         return
-    shown = np.zeros((sum(len(look.faces) for look in looks), 3), np.float32)
+    shown = np.zeros((sum(len(look.faces) for look in some), 3), np.float32)
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
-    for k, (look, colour) in enumerate(zip(looks, colours, strict=True)):
+    for k, (look, colour) in enumerate(zip(some, colours, strict=True)):
         shown[look.faces] = look.light
         faces = Vt.IntArray.FromNumpy(look.faces.astype(np.int32))
         subset = binding.CreateMaterialBindSubset(f"colour_{k}", faces)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from articugen.core.arrays import Bytes, Floats, Indices, Ints
+from articugen.core.colours import colour_of, linear, rgb, srgb_linear
 from articugen.core.records import Mesh
 
 MOST_COLOURS = 32
@@ -14,22 +15,33 @@ MOST_COLOURS = 32
 _HALVINGS = 10  # of an edge until the border of two colours on it is known
 
 
-class Coloured(NamedTuple):
-    """Numbers of the faces of a mesh that share a colour, sRGB."""
+class Look(NamedTuple):
+    """Faces of a mesh that are drawn in one colour: #rrggbb, and the same as linear light, (3,);
+    their area is in the mesh's units."""
 
-    rgb: tuple[int, int, int]
+    colour: str
+    light: Floats
     faces: Indices
+    area: float
+
+    @property
+    def rgba(self) -> list[float]:
+        """(4,) sRGB and opacity, from 0 to 1."""
+        return [*(channel / 255.0 for channel in rgb(self.colour)), 1.0]
 
 
-def by_colour(mesh: Mesh) -> list[Coloured]:
-    """Return the faces of each colour, by the colours; none where the mesh has no colours."""
+def looks(mesh: Mesh, part: int = 0) -> list[Look]:
+    """Return the faces of a mesh by their colours, the widest first; all of it in the colour of a
+    `part` in our pictures where it has none."""
+    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if mesh.colours is None:
-        return []
-    number, which = np.unique(_number(mesh.colours), return_inverse=True)
-    return [
-        Coloured((n >> 16, n >> 8 & 255, n & 255), np.flatnonzero(which == k))
-        for k, n in enumerate(number.tolist())
-    ]
+        colour = colour_of(part)
+        return [Look(colour, linear(colour), np.arange(len(area)), area.sum())]
+    numbers, which = np.unique(_number(mesh.colours), return_inverse=True)
+    some = [(f"#{n:06x}", np.flatnonzero(which == k)) for k, n in enumerate(numbers)]
+    groups = [Look(c, srgb_linear(c), faces, area[faces].sum()) for c, faces in some]
+    return sorted(groups, key=lambda look: -look.area)
 
 
 def _number(colours: Ints | Bytes) -> Ints:

@@ -6,8 +6,9 @@ import manifold3d
 import numpy as np
 
 from articugen.core.arrays import Floats
+from articugen.core.colours import rgb
 from articugen.core.records import Mesh
-from articugen.meshes.painting import Coloured, by_colour
+from articugen.meshes.painting import looks
 
 
 def manifold(mesh: Mesh) -> manifold3d.Manifold:
@@ -25,31 +26,23 @@ def mesh_of(solid: manifold3d.Manifold) -> Mesh:
 def simpler(mesh: Mesh, tolerance: float) -> Mesh:
     """Return a watertight mesh that lies within about `tolerance` of a watertight `mesh`, as do the
     borders of its colours."""
-    groups = by_colour(mesh)
-    first = manifold3d.Manifold.reserve_ids(len(groups)) if groups else 0
-    solid = _with_borders(mesh, groups, first) if groups else manifold(mesh)
+    if mesh.colours is None:
+        solid = manifold(mesh)
+        watertight = solid.status() == manifold3d.Error.NoError
+        return mesh_of(solid.simplify(tolerance)) if watertight else mesh
+    groups = looks(mesh)
+    faces = mesh.faces[np.concatenate([look.faces for look in groups])].astype(np.uint64)
+    ends = 3 * np.cumsum([0, *(len(look.faces) for look in groups)])
+    first = manifold3d.Manifold.reserve_ids(len(groups))  # borders of what differs in them stay
+    ids = np.arange(first, first + len(groups), dtype=np.uint32)
+    runs = {"run_index": ends.astype(np.uint64), "run_original_id": ids}
+    solid = manifold3d.Manifold(manifold3d.Mesh64(np.array(mesh.vertices), faces, **runs))
     if solid.status() != manifold3d.Error.NoError:
         return mesh
     solid = solid.simplify(tolerance)
-    less, runs = mesh_of(solid), solid.to_mesh64()
-    if not groups:
-        return less
-    rgb = np.array([group.rgb for group in groups], np.uint8)[
-        np.array(runs.run_original_id) - first
-    ]
-    return replace(less, colours=np.repeat(rgb, np.diff(runs.run_index) // 3, axis=0))
-
-
-def _with_borders(mesh: Mesh, groups: list[Coloured], first: int) -> manifold3d.Manifold:
-    """Return a mesh as manifold3d has it, which keeps the borders of what differs in its id: the
-    colours, from `first` on."""
-    ends = 3 * np.cumsum([0, *(len(group.faces) for group in groups)])
-    faces = mesh.faces[np.concatenate([group.faces for group in groups])]
-    mesh64 = manifold3d.Mesh64(
-        np.array(mesh.vertices), faces.astype(np.uint64), run_index=ends.astype(np.uint64),
-        run_original_id=np.arange(first, first + len(groups), dtype=np.uint32),
-    )  # fmt: skip
-    return manifold3d.Manifold(mesh64)
+    mesh64, palette = solid.to_mesh64(), np.array([rgb(look.colour) for look in groups], np.uint8)
+    of_run = palette[np.array(mesh64.run_original_id) - first]
+    return replace(mesh_of(solid), colours=np.repeat(of_run, np.diff(mesh64.run_index) // 3, 0))
 
 
 def hull(points: Floats) -> Mesh:

@@ -4,6 +4,7 @@ import numpy as np
 from PIL import Image
 
 from articugen.core.arrays import Floats
+from articugen.core.colours import linear
 from articugen.pictures.camera import Camera
 from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
 
@@ -11,11 +12,6 @@ Picture = Image.Image
 
 PAPER = "#ffffff"
 SUPERSAMPLING = 2
-
-
-def linear(colour: str) -> Floats:
-    """Return an #rrggbb colour as linear light, (3,) in [0, 1]."""
-    return (np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255.0) ** 2.2
 
 
 def shaded(
