@@ -200,6 +200,17 @@ def test_a_model_without_colours_has_those_of_our_pictures_and_states_none(tmp_p
     assert not list(tmp_path.rglob("*.mtl"))
 
 
+def test_materials_may_change_where_data_have_no_colours_and_shapes_may_not(tmp_path):
+    folder = tmp_path / "m"
+    data = data_set(folder, {"slide.urdf": URDF, "box.obj": BOX, "box.mtl": MTL})
+    (folder / "box.mtl").write_text(MTL.replace("Kd 1 0 0", "Kd 0 0 1"))
+    wall, _ = in_gltf(exported(data, "glb", tmp_path))
+    assert np.unique(wall[1], axis=0).tolist() == [BLUE, GREEN]
+    (folder / "box.obj").write_text(BOX.replace("v 1 1 1", "v 1 1 1.5"))
+    with pytest.raises(ag.ArticugenError, match="have changed since"):
+        exported(data, "mjcf", tmp_path)
+
+
 def test_bundled_objects_have_plain_colours(tmp_path):
     ag.generate("oven", out=tmp_path, recipe=RECIPE, objects=1, jobs=0)
     parts = in_gltf(exported(tmp_path / "oven", "glb", tmp_path))

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from articugen.core.geometry import rotation_about, transform
 from articugen.evaluation import metrics
-from articugen.meshes.distances import distance, sample
+from articugen.meshes.distances import distance, nearest, sample
 
 
 def test_nothing_is_infinitely_far():
     assert np.isinf(distance(np.zeros((2, 3)), np.zeros((0, 3, 3)))).all()
+    assert nearest(np.zeros((2, 3)), np.zeros((0, 3, 3)))[1].tolist() == [-1, -1]
 
 
 @settings(deadline=None, max_examples=60)
@@ -152,6 +153,9 @@ def test_distance_to_many_triangles_is_that_to_the_nearest(seed, count):
     points = rng.normal(size=(9, 3))
     alone = np.min([distance(points, one[None]) for one in triangles[:60]], axis=0)
     np.testing.assert_array_equal(distance(points, triangles[:60]), alone)
+    far, which = nearest(points, triangles)
+    there = [distance(p[None], triangles[k][None])[0] for p, k in zip(points, which, strict=True)]
+    np.testing.assert_array_equal(far, there)
     corners = np.repeat(triangles[:, :1], 3, axis=1)
     plain = np.linalg.norm(points[:, None] - triangles[:, 0], axis=2).min(1)
     np.testing.assert_allclose(distance(points, corners), plain, atol=1e-12)

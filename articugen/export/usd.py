@@ -131,7 +131,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    _draw(prim, _add_mesh(stage, f"{path}/visual", body.mesh), looks(body.mesh, part))
+    _add_visual(prim, body.mesh, looks(body.mesh, part))
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -140,17 +140,18 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
 
 
-def _draw(prim: Any, mesh: Any, some: Sequence[Look]) -> None:
-    """Give a part's `mesh` its colours. The first is the part's own, for what touches it; of
-    several each has the material of a subset of the faces."""
+def _add_visual(prim: Any, shape: Mesh, some: Sequence[Look]) -> None:
+    """Add what is seen of a part. Its first colour is that of its own material, for what touches
+    it; of several each has the material of a subset of the faces."""
     Gf, UsdGeom, UsdShade, Vt = _pxr("Gf", "UsdGeom", "UsdShade", "Vt")
 
     colours = [Gf.Vec3f(*look.light.tolist()) for look in some]
     _bind_material(prim, prim.GetName(), colours[0])
+    mesh = _add_mesh(prim.GetStage(), f"{prim.GetPath()}/visual", shape)
     if len(some) == 1:
         mesh.CreateDisplayColorAttr(colours)
         return
-    shown = np.zeros((sum(len(look.faces) for look in some), 3), np.float32)
+    shown = np.zeros((len(shape.faces), 3), np.float32)
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
     for k, (look, colour) in enumerate(zip(some, colours, strict=True)):
         shown[look.faces] = look.light

@@ -41,7 +41,7 @@ def looks(mesh: Mesh, part: int = 0) -> list[Look]:
     numbers, which = np.unique(_number(mesh.colours), return_inverse=True)
     some = [(f"#{n:06x}", np.flatnonzero(which == k)) for k, n in enumerate(numbers)]
     groups = [Look(c, srgb_linear(c), faces, area[faces].sum()) for c, faces in some]
-    return sorted(groups, key=lambda look: -look.area)
+    return sorted(groups, key=lambda look: -round(look.area, 6))
 
 
 def _number(colours: Ints | Bytes) -> Ints:
