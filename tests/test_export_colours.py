@@ -12,11 +12,10 @@ from PIL import Image
 from test_colours import BOX, MTL, URDF, png
 
 import articugen as ag
-from articugen.core.colours import colour_of, plain_colour
+from articugen.core.colours import colour_of, linear, plain_colour
 from articugen.meshes.marching_cubes import zero_level
 from articugen.meshes.painting import MOST_COLOURS, coloured_like, few, looks
 from articugen.meshes.simpler import simpler
-from articugen.pictures.shading import linear
 from tests.golden import CABINET
 
 RECIPE = {

@@ -359,7 +359,7 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
             "rb_poses_array.csv",
             r"(?<=\d),[^,\n]*\n",
             ",inf\n",
-            "no image has a pose of every",
+            "no image has a pose of every part",
         ),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nnan", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\n1e300", "no pose"),

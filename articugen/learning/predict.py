@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.colours import colour_of, rgb
+from articugen.core.colours import colour_of, linear, rgb
 from articugen.core.errors import ArticugenError, InvalidSource, UnfitData
 from articugen.core.files import write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
@@ -23,7 +23,6 @@ from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
 from articugen.pictures.layout import Row, save, sheet
 from articugen.pictures.portrait import solid_portrait, tile_camera
-from articugen.pictures.shading import linear
 from articugen.store.shards import open_shard
 
 _CUTS, _SMALLEST = 6, 0.01

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from articugen.core.arrays import Floats, Ints
-from articugen.core.colours import PALETTE, colour_of
+from articugen.core.colours import PALETTE, colour_of, linear
 from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.pictures.camera import Camera, framed
 from articugen.pictures.layout import TILE
 from articugen.pictures.light import SurfaceCloud
-from articugen.pictures.shading import SUPERSAMPLING, Picture, linear, shaded
+from articugen.pictures.shading import SUPERSAMPLING, Picture, shaded
 from articugen.pictures.solids import ColouredMesh, draw_solid, spread
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, Surfels, surfels
