@@ -31,7 +31,7 @@ FLOORS = (
 FLOOR = {room: level for level, rooms in enumerate(FLOORS, start=1) for room in rooms}
 
 MOST_ARROWS = 70
-MOST_LINES = 55_263
+MOST_LINES = 55_292
 """Of the whole package; it is lowered as the package shrinks."""
 LARGEST_ROOM = 0.2
 """Its share of the lines."""
@@ -69,7 +69,7 @@ FOREIGN: dict[str, set[str]] = {
         "core.tables",
         "inspection.summary",
     },
-    "safetensors": {"learning.commands", "learning.tensors"},
+    "safetensors": {"learning.commands", "learning.sealed"},
     "submitit": {"pipeline.executors.slurm"},
     "trimesh": {"export.assembly", "meshes.mesh_file", "meshes.points", "meshes.scenes"},
     "typer": {
@@ -234,11 +234,18 @@ def test_help_waits_for_no_heavy_library() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "heavy"), [("pipeline.door", {"numba", "trimesh"}), ("instance.maker", {"trimesh"})]
+    ("module", "heavy"),
+    [
+        ("pipeline.door", {"numba", "trimesh"}),
+        ("instance.maker", {"trimesh"}),
+        ("learning.ppd.warm.found", {"torch"}),  # which workers import that look for joints
+    ],
 )
 def test_runs_are_planned_without_numba_and_instances_made_without_trimesh(
     module: str, heavy: set[str]
 ) -> None:
+    if module.startswith("learning"):
+        pytest.importorskip("safetensors")
     loaded = printed("-c", f"import sys, articugen.{module}; print(*sys.modules)").split()
     assert f"articugen.{module}" in loaded
     assert not heavy & set(loaded)

@@ -20,11 +20,12 @@ from trouble import unfit
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
 from articugen.core.files import partial_name
 from articugen.evaluation.results import read_evaluation
-from articugen.learning import tensors
+from articugen.learning import sealed as files
 from articugen.learning.commands import newest
 from articugen.learning.loop import Training, train
 from articugen.learning.run_folder import FORMAT, LATEST, METRICS, RunFolder, read_checkpoint
-from articugen.learning.tensors import image_of, read_tensors, sealed
+from articugen.learning.sealed import image_of, sealed
+from articugen.learning.tensors import in_numpy, read_tensors
 
 BOXES = {"train": 2, "test": 1, "states": 1}
 
@@ -116,7 +117,7 @@ def rewritten(path: Path, change) -> None:
     """A checkpoint of other content, with its digest right: whoever can compute one can write
     anything."""
     data = {"format": FORMAT, **read_tensors(path, FORMAT)}
-    path.write_bytes(sealed(image_of(change(data))))
+    path.write_bytes(sealed(image_of(in_numpy(change(data)))))
 
 
 @pytest.mark.parametrize(
@@ -208,7 +209,7 @@ def test_a_recipe_that_is_refused_by_now_says_why_and_how_to_go_on(run):
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "too large", "absent"])
 def test_kind_and_size_of_a_checkpoint_are_looked_at_first(tmp_path, kind, monkeypatch):
     path = tmp_path / LATEST
-    unfit(path, kind, tensors.MOST_BYTES)
+    unfit(path, kind, files.MOST_BYTES)
     assert f"{path}: " in refused(read_checkpoint, path)
 
 

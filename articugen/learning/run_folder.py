@@ -36,12 +36,8 @@ from articugen.core.files import (
 from articugen.core.yaml_files import fault_in, resolved
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.tensors import (
-    CURE,
-    check_like,
-    read_tensors,
-    write_tensors,
-)
+from articugen.learning.sealed import CURE
+from articugen.learning.tensors import check_like, read_tensors, write_tensors
 from articugen.store.provenance import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 5"

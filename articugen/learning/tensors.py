@@ -1,133 +1,40 @@
-"""Tensors and plain data in safetensors files that are sealed: no code, no flipped bit, no NaN.
+"""Tensors in sealed files, and networks whose weights a seed decides."""
 
-Any reader of safetensors opens a file: tensors have the path of their keys for a name, and the
-metadata's one entry is the SHA-256 of the file (in which that digest is zeros) and, as JSON, all
-that is no tensor.
-"""
-
-import hashlib
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import safetensors.torch as safetensors
+import numpy as np
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from articugen.core.errors import InvalidCheckpoint
-from articugen.core.files import UnfitFile, read_regular, write_atomically
-
-MOST_BYTES = 1 << 31
-"""That such a file may have; a checkpoint of PPD has 10 MB."""
-
-CURE = "restore it from a copy, or train again"
-
-_ENTRY = "articugen"
-_LABEL = f'{{"__metadata__":{{"{_ENTRY}":"'.encode()
-_AT = slice(8 + len(_LABEL), 8 + len(_LABEL) + 64)
-"""Where the digest stands: a file begins with its header's length in 8 bytes, and the metadata."""
-
-_UNSEALED = b"0" * 64
+from articugen.learning.sealed import read_arrays, write_arrays
 
 
 def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
-    """Write nested dicts of tensors and plain data in one step, sealed.
-
-    Raises:
-        MachineFault: the disk is full, or the like.
-    """
-    write_atomically(path, sealed(image_of({"format": form, **data})))
-
-
-def image_of(data: dict[str, Any]) -> bytes:
-    """Pack nested dicts into a file that is not sealed yet; their keys are texts without a `/`."""
-    tensors: dict[str, Tensor] = {}
-    rest = json.dumps(_without_tensors(data, "", tensors))
-    return safetensors.save(tensors, {_ENTRY: _UNSEALED.decode() + rest})
-
-
-def _without_tensors(
-    data: dict[str, Any], above: str, tensors: dict[str, Tensor]
-) -> dict[str, Any]:
-    """Give what is no tensor; the tensors go into `tensors`, by the path of their keys."""
-    rest: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, Tensor):
-            tensors[f"{above}{key}"] = value.cpu().clone(memory_format=torch.contiguous_format)
-        elif isinstance(value, dict):
-            rest[key] = _without_tensors(value, f"{above}{key}/", tensors)
-        else:
-            rest[key] = value
-    return rest
-
-
-def sealed(image: bytes) -> bytes:
-    """Give the image of a file its digest."""
-    if image[8 : _AT.start] != _LABEL or len(image) < _AT.stop:
-        raise ValueError("not a file of ours")
-    digest = hashlib.sha256(image[: _AT.start] + _UNSEALED + image[_AT.stop :]).hexdigest()
-    return image[: _AT.start] + digest.encode() + image[_AT.stop :]
+    """Write nested dicts of tensors and plain data as `write_arrays` does."""
+    write_arrays(path, in_numpy(data), form)
 
 
 def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
-    """Read what was written to `path` in the format `wanted`: finite but for plain infinities.
-
-    Raises:
-        InvalidCheckpoint: there is none, it is damaged, or not one of ours.
-    """
-    image = _unsealed(path)
-    try:
-        header = json.loads(image[8 : 8 + int.from_bytes(image[:8], "little")])
-        rest = header["__metadata__"][_ENTRY][len(_UNSEALED) :]
-        data = json.loads(rest, parse_constant=_infinity)
-        tensors = safetensors.load(image)
-        finite = all(bool(tensor.isfinite().all()) for tensor in tensors.values())
-        for name, tensor in tensors.items():
-            _put(data, name.split("/"), tensor)
-    except MemoryError:
-        raise
-    except Exception:  # the library raises whatever it stumbles over
-        raise InvalidCheckpoint(f"{path}: not a checkpoint, or damaged; {CURE}") from None
-    if not isinstance(data, dict) or data.pop("format", None) != wanted:
-        raise InvalidCheckpoint(f"{path}: not a checkpoint of this version; {CURE}")
-    if not finite:
-        raise InvalidCheckpoint(f"{path}: holds numbers that are not finite; {CURE}")
-    return data
+    """Read as `read_arrays` does."""
+    return _in_torch(read_arrays(path, wanted))
 
 
-def _infinity(text: str) -> float:
-    if text == "NaN":
-        raise ValueError(text)
-    return float(text)
+def in_numpy(data: Any) -> Any:
+    """Return nested dicts with arrays where there were tensors."""
+    if isinstance(data, dict):
+        return {key: in_numpy(value) for key, value in data.items()}
+    return data.detach().cpu().numpy() if isinstance(data, Tensor) else data
 
 
-def _put(data: dict[str, Any], keys: list[str], tensor: Tensor) -> None:
-    """Put a tensor where it was among nested dicts, and nothing was left in its place."""
-    *above, last = keys
-    for key in above:
-        data = data[key]
-    if last in data:
-        raise KeyError(last)
-    data[last] = tensor
-
-
-def _unsealed(path: Path) -> bytes:
-    try:
-        image = read_regular(path, MOST_BYTES)
-    except UnfitFile as error:
-        raise InvalidCheckpoint(f"{path}: {error.strerror}; {CURE}") from None
-    except OSError as error:
-        raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
-    try:
-        is_whole = sealed(image) == image
-    except ValueError:
-        raise InvalidCheckpoint(f"{path}: not a checkpoint of ours, or damaged; {CURE}") from None
-    if not is_whole:
-        raise InvalidCheckpoint(f"{path}: damaged, not the bytes that were written; {CURE}")
-    return image
+def _in_torch(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _in_torch(value) for key, value in data.items()}
+    return torch.from_numpy(data.copy()) if isinstance(data, np.ndarray) else data
 
 
 def check_like(actual: Any, wanted: Any, path: Path, name: str = "") -> None:

@@ -182,9 +182,10 @@ def _checkpoint_format() -> str:
 
 def checkpoints() -> Iterable[bytes]:
     """Without a digest, which `mending.checkpoint` gives them."""
-    from articugen.learning.tensors import image_of
+    from articugen.learning.sealed import image_of
+    from articugen.learning.tensors import in_numpy
 
-    yield image_of(checkpoint_data())
+    yield image_of(in_numpy(checkpoint_data()))
 
 
 def runs() -> Iterable[bytes]:

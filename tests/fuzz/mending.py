@@ -54,7 +54,7 @@ def pngs(data: bytes) -> bytes:
 
 def checkpoint(data: bytes) -> bytes:
     """The digest that is in our files of tensors."""
-    from articugen.learning.tensors import sealed
+    from articugen.learning.sealed import sealed
 
     try:
         return sealed(data)

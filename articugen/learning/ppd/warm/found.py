@@ -9,10 +9,9 @@ import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from articugen.core.errors import InvalidArgument, InvalidCheckpoint, UnfitData
@@ -20,8 +19,10 @@ from articugen.core.files import make_folder
 from articugen.core.processes import Crew
 from articugen.core.records import JointKind
 from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discover
-from articugen.learning.data.split import PackedSplit, unpacked
-from articugen.learning.tensors import read_tensors, write_tensors
+from articugen.learning.sealed import read_arrays, write_arrays
+
+if TYPE_CHECKING:  # imports torch, which workers that look for joints have no use for
+    from articugen.learning.data.split import PackedSplit
 
 FORMAT = "articugen joints 6"
 """Of the files that keep what was found; to be raised when something else would be found."""
@@ -71,11 +72,11 @@ def discovered(
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
     clouds = [
         (training.surface[some].cpu().numpy(), training.normals[some].cpu().numpy())
-        for some in map(torch.from_numpy, rows)
+        for some in rows
     ]
     path = beside / f"joints-{_digest(clouds, directions)}.safetensors"
     if path.is_file():
-        kept = read_tensors(path, FORMAT)["objects"]
+        kept = read_arrays(path, FORMAT)["objects"]
         return [_read(kept[str(i)], cloud) for i, cloud in enumerate(clouds)], rows
     looked = beside / f".{path.stem}"
     make_folder(looked)
@@ -85,7 +86,7 @@ def discovered(
             f"{beside}: in no training object do the poses show what moves; make the data set "
             "with more states, or set warm_start.share=0"
         )
-    write_tensors(path, {"objects": {str(i): _plain(x) for i, x in enumerate(discoveries)}}, FORMAT)
+    write_arrays(path, {"objects": {str(i): _plain(x) for i, x in enumerate(discoveries)}}, FORMAT)
     shutil.rmtree(looked, ignore_errors=True)
     return discoveries, rows
 
@@ -144,14 +145,14 @@ def _looked_for(
 def _look(task: _Asked) -> Discovery | None:
     """Return what is found in an object, or was found there before this run was killed."""
     with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
-        return _read(read_tensors(task.path, FORMAT)["object"], task.poses)
+        return _read(read_arrays(task.path, FORMAT)["object"], task.poses)
     points, normals = list(_points(task.poses)), list(task.poses[1] / 127.0)
     outcome = None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
         outcome = discover(points, normals=normals, kinds=task.kinds, directions=task.directions)
     if outcome and not (outcome.joints and min(j.score for j in outcome.joints) >= LEAST_SCORE):
         outcome = None
-    write_tensors(task.path, {"object": _plain(outcome)}, FORMAT)
+    write_arrays(task.path, {"object": _plain(outcome)}, FORMAT)
     return outcome
 
 
@@ -166,16 +167,16 @@ def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
 
 def _points(poses: _Clouds) -> NDArray[np.float64]:
     """Return (K, n, 3) the points, in the unit frame."""
-    return unpacked(torch.from_numpy(poses[0])).double().numpy()
+    stored = poses[0].view(np.uint16).astype(np.float32)
+    return (stored / np.float32(65535.0) - np.float32(0.5)).astype(np.float64)
 
 
 def _plain(discovery: Discovery | None) -> dict[str, Any]:
-    """Return a discovery as `write_tensors` takes it."""
+    """Return a discovery as `write_arrays` takes it."""
     if discovery is None:
         return {}
     columns = {n: np.array([getattr(joint, n) for joint in discovery.joints]) for n in _JOINT}
-    columns["part"] = discovery.part.astype(np.uint8)
-    return {name: torch.from_numpy(column) for name, column in columns.items()}
+    return {**columns, "part": discovery.part.astype(np.uint8)}
 
 
 def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
@@ -183,8 +184,6 @@ def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
         return None
     joints = tuple(
         FoundJoint(JointKind(int(kind)), axis, pivot, states, float(score))
-        for kind, axis, pivot, states, score in zip(
-            *(kept[name].numpy() for name in _JOINT), strict=True
-        )
+        for kind, axis, pivot, states, score in zip(*(kept[name] for name in _JOINT), strict=True)
     )
-    return Discovery(joints, _points(poses)[0], kept["part"].numpy().astype(np.int64))
+    return Discovery(joints, _points(poses)[0], kept["part"].astype(np.int64))
