@@ -1,11 +1,15 @@
 """Races of seeds: who goes on, and that neither processes nor interruptions decide it."""
 
 import json
+import os
+import re
+import signal
 
 import pytest
 from digests import same_state
 from learners import tiny
 from ppd_data import write_boxes
+from test_workers import children
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
 from articugen.learning import commands
@@ -57,11 +61,20 @@ def test_the_winner_is_what_its_seed_alone_would_be(boxes, whole, tmp_path):
 
 
 def test_processes_change_nothing(boxes, whole, tmp_path):
-    seen = []
-    run = race(Training(TINY, "box", boxes, tmp_path, seed=1), jobs=2, on_progress=seen.append)
+    """Not even one that is killed, of which one reads at once."""
+    heard = []
+
+    def kill_once(progress):
+        heard.append(progress)
+        if progress.who and not any(p.who for p in heard[:-1]):
+            os.kill(children(os.getpid(), 2)[0], signal.SIGKILL)
+
+    run = race(Training(TINY, "box", boxes, tmp_path, seed=1), jobs=2, on_progress=kill_once)
     assert told(run) == told(whole)
     assert same_state(run, whole)
-    assert {p.who for p in seen} == {"seed 1", "seed 2", "seed 3"}
+    assert {p.who for p in heard} == {"", "seed 1", "seed 2", "seed 3"}
+    (lost,) = [p.said for p in heard if "worker" in p.said]
+    assert re.match(r"a worker was killed .* at seed \d, which is tried once more at the end", lost)
 
 
 def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):

@@ -8,7 +8,7 @@ processes take part.
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -88,7 +88,7 @@ def race(what: Training, *, jobs: int = 1, on_progress: Notify = lambda _: None)
         with given_back(SHARDS):
             learner.begin(next(windows), what.beside, notify)
         del learner, windows  # all instances
-        with _crew(jobs, on_progress) as crew:
+        with _crew(jobs, on_progress, notify) as crew:
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
@@ -132,7 +132,9 @@ def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
 
 
 @contextmanager
-def _crew(jobs: int, notify: Notify) -> Iterator[Crew[Heat, dict[str, float] | None]]:
+def _crew(
+    jobs: int, on_progress: Notify, notify: Callable[[str], None]
+) -> Iterator[Crew[Heat, dict[str, float] | None]]:
     """Yield the crew that runs the heats: this process one after the other, or `jobs` workers."""
     threads = torch.get_num_threads()
     _use_one_thread()
@@ -141,7 +143,8 @@ def _crew(jobs: int, notify: Notify) -> Iterator[Crew[Heat, dict[str, float] | N
             Heat.run,
             workers=0 if jobs == 1 else jobs,
             ready=_use_one_thread,
-            on_report=notify,
+            on_report=on_progress,
+            notice=notify,
             name=lambda heat: f"seed {heat.what.seed}",
         ) as crew:
             yield crew

@@ -122,7 +122,7 @@ def _looked_for(
         return _Asked(clouds[i], kinds, directions, path)
 
     discoveries: Found = []
-    with Crew(_look, workers=os.cpu_count() or 1) as crew:
+    with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
         for one in crew.in_order([asked(i, KINDS) for i in range(len(clouds))]):
             discoveries.append(one)
             notify(
