@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from articugen.core.arrays import Floats
 
@@ -36,6 +37,13 @@ def srgb_linear(colour: str) -> Floats:
     which are the same on all machines."""
     share = np.array(rgb(colour)) / 255.0
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).round(9)
+
+
+def srgb(light: ArrayLike) -> Floats:
+    """Return linear light of 0 to 1 by the same curve, as sRGB of 0 to 1."""
+    light = np.asarray(light, np.float64)
+    curve = 1.055 * light ** (1.0 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, curve).round(9)
 
 
 PALETTE = np.array([rgb(colour_of(part)) for part in range(256)], np.uint8)

@@ -1,8 +1,8 @@
 """Base colours of mesh files, a colour a face, as their materials state them.
 
-That is the Kd of an OBJ's material, times the mean of the texture (map_Kd) over the face; other
-formats state none. Colours are read where somebody wants them (`with_looks`) alone, for their files
-count in a model's hash.
+That is the Kd of an OBJ's material, times the mean of the texture (map_Kd) over the face. Other
+formats state none here; `materials` reads those of glTF and COLLADA. Colours are read
+where somebody wants them (`with_looks`) alone, for their files count in a model's hash.
 """
 
 import os
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.core.arrays import Bytes, Floats
+from articugen.core.arrays import Bytes, Floats, Indices
 from articugen.core.errors import InvalidSource, MachineFault
 from articugen.meshes import pixels
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
@@ -33,7 +33,7 @@ _SPREAD = [(a, b, 12 - a - b) for k in (1, 2) for a in range(k, 12, 3) for b in 
 
 
 class Material(NamedTuple):
-    """Material of an OBJ: sRGB from 0 to 1, and a texture."""
+    """Material of a mesh: sRGB from 0 to 1, and a texture."""
 
     kd: tuple[float, ...]
     texture: Path | None = None
@@ -46,7 +46,7 @@ class Looks:
     """Materials and textures of one object: each file is read once."""
 
     def __init__(self) -> None:
-        self._files: dict[Path, bytes] = {}
+        self._files: dict[Path, bytes | memoryview] = {}
         self._libraries: dict[Path, dict[bytes, Material]] = {}
         self._textures: dict[Path, Bytes | None] = {}
         self._missing: dict[str, None] = {}  # in order
@@ -56,11 +56,22 @@ class Looks:
         some = ", ".join(map(quoted, list(self._missing)[:5]))
         return (f"{len(self._missing)} materials or textures not read: {some}",) if some else ()
 
+    def miss(self, name: str) -> None:
+        """Note what could not be read."""
+        self._missing[name] = None
+
+    def inside(self, place: Path, data: bytes | memoryview) -> Path | None:
+        """Take a texture that lies inside a mesh file, and is called `place`; None if too large."""
+        if len(data) > MAX_TEXTURE_BYTES:
+            return self.miss(place.name)
+        self._files[place] = data
+        return place
+
     def materials(self, obj: bytes, path: Path, files: ModelFiles) -> dict[bytes, Material]:
         """Read the libraries that an OBJ names, a file a line, and their textures undecoded."""
         known: dict[bytes, Material] = {}
         for line in obj.split(b"\nmtllib ")[1:]:
-            place = self._find(line.partition(b"\n")[0].strip(), path, files, MAX_TEXT_BYTES)
+            place = self.find(line.partition(b"\n")[0].strip(), path, files, MAX_TEXT_BYTES)
             if place and place not in self._libraries:
                 self._libraries[place] = self._library(place, files)
             known |= self._libraries[place] if place else {}
@@ -68,38 +79,47 @@ class Looks:
 
     def of_obj(self, obj: bytes, path: Path, files: ModelFiles) -> Bytes | None:
         """Return (F, 3) of an OBJ's polygons as fans; None where none of its materials is known."""
-        known, material = self.materials(obj, path, files), GREY
-        uv, corners, of_face = [], [], []
+        known, materials = self.materials(obj, path, files), [GREY]
+        uv, corners, which = [], [], []
         for line in obj.split(b"\n") if known else ():
             key, _, rest = line.partition(b" ")
             if key == b"usemtl":
-                material = known.get(rest.strip(), GREY)
+                materials.append(known.get(rest.strip(), GREY))
             elif key == b"vt":
                 uv.append((*_numbers(rest.split()[:2]), np.nan, np.nan)[:2])
             elif key == b"f":
                 polygon = [_which(word, len(uv)) for word in rest.partition(b"#")[0].split()]
                 for second, third in pairwise(polygon[1:]):
                     corners.append((polygon[0], second, third))
-                    of_face.append(material)
-        if all(material is GREY for material in of_face):
+                    which.append(len(materials) - 1)
+        places = np.array([*uv, (np.nan, np.nan)])[np.clip(corners, -1, len(uv)).astype(np.intp)]
+        return self.painted(materials, np.array(which, np.intp), places)
+
+    def painted(
+        self, materials: Sequence[Material], which: Indices, places: Floats
+    ) -> Bytes | None:
+        """Return (F, 3) of faces: `which` (F,) of the materials they have, and the `places` (F, 3,
+        2) of their corners in its texture, v up, nan for none. None where all are GREY itself."""
+        used = np.unique(which).tolist()
+        if all(materials[n] is GREY for n in used):
             return None
-        places = np.array([*uv, (np.nan, np.nan)])[np.clip(corners, -1, len(uv))]
-        colours = np.array([material.kd for material in of_face])
-        textures = dict.fromkeys(material.texture for material in of_face)
-        number = {texture: n for n, texture in enumerate(textures)}
-        number_of_face = np.array([number[material.texture] for material in of_face])
-        for texture in filter(None, textures):
+        colours = np.array([material.kd for material in materials])[which]
+        number = {t: k for k, t in enumerate(dict.fromkeys(materials[n].texture for n in used))}
+        textures = np.array([number.get(material.texture, -1) for material in materials])[which]
+        for texture in filter(None, number):
             if texture not in self._textures:
                 self._textures[texture] = decoded(self._files[texture])
-            rows = np.flatnonzero(number_of_face == number[texture])
+            rows = np.flatnonzero(textures == number[texture])
             rows = rows[(np.abs(places[rows]) < _FARTHEST).all(axis=(1, 2))]  # nan is none
             if (picture := self._textures[texture]) is None:
-                self._missing[texture.name] = None
+                self.miss(texture.name)
             else:
                 colours[rows] *= _means(picture, places[rows])
         return in_bytes(colours)
 
-    def _find(self, name: bytes, beside: Path, files: ModelFiles, most: int) -> Path | None:
+    def find(
+        self, name: bytes | str, beside: Path, files: ModelFiles, most: int = MAX_TEXTURE_BYTES
+    ) -> Path | None:
         """Read the file of that name in the folder of `beside`; of a path of another machine, which
         may run Windows, its last name counts. None where it cannot be read."""
         there = PureWindowsPath(os.fsdecode(name))
@@ -111,13 +131,13 @@ class Looks:
         except InvalidSource:
             place = None
         if place is None:
-            self._missing[os.fsdecode(name)] = None
+            self.miss(os.fsdecode(name))
         return place
 
     def _library(self, path: Path, files: ModelFiles) -> dict[bytes, Material]:
         known: dict[bytes, Material] = {}
         name = b""
-        for line in self._files[path].replace(b"\t", b" ").splitlines():
+        for line in bytes(self._files[path]).replace(b"\t", b" ").splitlines():
             key, _, rest = line.strip().partition(b" ")
             rest = rest.strip()
             if key == b"newmtl":
@@ -126,7 +146,7 @@ class Looks:
                 known[name] = known[name]._replace(kd=kd)
             elif key == b"map_Kd" and name and rest:
                 file = rest.split()[-1] if rest.startswith(b"-") else rest  # after options
-                texture = self._find(file, path, files, MAX_TEXTURE_BYTES)
+                texture = self.find(file, path, files)
                 known[name] = known[name]._replace(texture=texture)
         return known
 
@@ -146,7 +166,7 @@ def with_looks(*, wanted: bool) -> Iterator[Looks]:
         _LOOKS.reset(token)
 
 
-def decoded(data: bytes) -> Bytes | None:
+def decoded(data: bytes | memoryview) -> Bytes | None:
     """Decode a texture to (h, w, 3) sRGB of at most 256 x 256, in a process of its own; None where
     it is none, or takes more than that may. Raises MachineFault where no process can run."""
     command = [sys.executable, "-I", pixels.__file__]
@@ -197,7 +217,7 @@ def rgb_of(words: Sequence[Any]) -> tuple[float, ...] | None:
 def _numbers(words: Sequence[Any]) -> tuple[float, ...]:
     try:
         return tuple(map(float, words))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return ()
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -28,7 +29,7 @@ MAX_LINE_BYTES = 2**20  # of an OBJ: a face with so many corners is none
 MAX_COORDINATE = 1e9
 """Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
 
-_Arrays = tuple[Floats, Ints] | tuple[Floats, Ints, Bytes | None]
+_Arrays = tuple[Floats, Ints, scenes.Paint]
 
 _WANTED = ContextVar("_WANTED", default="meshes")
 
@@ -87,12 +88,15 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
     if wanted() == "nothing":
         return STAND_IN
     data = files.read(path)
-    if wanted() == "hash" and path.suffix.lower() not in _NAME_OTHER_FILES:
-        if (looks := wanted_looks()) and path.suffix.lower() == ".obj":
+    looks = wanted_looks()
+    names_others = (*_NAME_OTHER_FILES, ".dae") if looks else _NAME_OTHER_FILES
+    if wanted() == "hash" and path.suffix.lower() not in names_others:
+        if looks and path.suffix.lower() == ".obj":
             looks.materials(_obj_lines(data), path, files)
         return STAND_IN
-    vertices, faces, *colours = read(data, path, files)
-    return checked(vertices, faces, path, *colours)
+    vertices, faces, paint = read(data, path, files)
+    colours = paint() if paint and wanted() == "meshes" else None
+    return checked(vertices, faces, path, colours)
 
 
 def checked(
@@ -251,8 +255,9 @@ def _read_obj(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
         begins = ([m.start() for m in kind.finditer(data)] for kind in (_OBJ_VERTEX, _OBJ_POLYGON))
         known = np.searchsorted(np.array(next(begins)), np.array(next(begins)))
     corners = np.where(corners < 0, corners + np.repeat(known, counts), corners - 1)
-    colours = (looks := wanted_looks()) and looks.of_obj(data, path, files)
-    return coordinates.reshape(-1, 3), fans(corners, counts), colours
+    looks = wanted_looks()
+    paint = partial(looks.of_obj, data, path, files) if looks else None
+    return coordinates.reshape(-1, 3), fans(corners, counts), paint
 
 
 _BLANKS = b" \t\v\f\n"
@@ -315,7 +320,7 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
         )
     with np.errstate(invalid="ignore"):  # of what is no number `checked` tells
         vertices = corners.reshape(-1, 3).astype(np.float64)
-    return vertices, np.arange(len(vertices)).reshape(-1, 3)
+    return vertices, np.arange(len(vertices)).reshape(-1, 3), None
 
 
 def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
@@ -329,7 +334,7 @@ def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     with np.errstate(invalid="ignore"):  # of what is no number `checked` tells
         points = np.frombuffer(data, "<f4", 3 * vertices, 16).astype(np.float64)
     corners = np.frombuffer(data, "<i4", 3 * faces, 16 + 4 * (3 * vertices + skipped))
-    return points.reshape(-1, 3), corners.reshape(-1, 3)
+    return points.reshape(-1, 3), corners.reshape(-1, 3), None
 
 
 _READERS: dict[str, Callable[[bytes, Path, ModelFiles], _Arrays]] = {

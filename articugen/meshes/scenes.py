@@ -1,22 +1,27 @@
 """PLY, COLLADA and glTF through trimesh, which believes files that lie: headers are checked first.
 
 Every reader gives `(vertices (V, 3), faces (F, 3))` with the transforms of a scene's nodes baked
-in; materials and textures are not read. `meshes.checked` sees the result.
+in, and what paints the faces where colours are wanted. trimesh sees neither materials nor textures,
+so that triangles are the same either way. `meshes.checked` sees the result.
 """
 
 import io
 import json
 import os
 import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Bytes, Floats, Ints
 from articugen.core.errors import InvalidSource, machine_fault
 from articugen.core.geometry import apply
+from articugen.meshes import materials
+from articugen.meshes.looks import Looks, wanted_looks
 from articugen.meshes.model_files import ModelFiles, claimed_rows, quoted
 from articugen.meshes.xml_strict import parse_xml, tostring
 
@@ -27,7 +32,11 @@ MAX_VERTICES = 3 * MAX_FACES
 _MAX_NODES = 10_000  # of a scene
 _MAX_DEPTH = 100  # of nodes that instance others
 
-_Arrays = tuple[Floats, Ints]
+Paint = Callable[[], Bytes | None] | None
+"""Returns (F, 3) sRGB of a mesh's faces; None where it states no colours, or none are wanted."""
+
+_Arrays = tuple[Floats, Ints, Paint]
+_T = TypeVar("_T")
 
 
 def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
@@ -37,13 +46,13 @@ def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     except ValueError as error:
         raise _broken(path, str(error)) from None
     check_size(path, faces=claimed.get("face", 0), vertices=claimed.get("vertex", 0))
-    vertices, faces = _through_trimesh(data, path, skip_materials=True)
+    vertices, faces, _ = _through_trimesh(data, path, skip_materials=True)
     if len(vertices) < claimed.get("vertex", 0) or len(faces) < claimed.get("face", 0):
         raise _broken(path, "not every face of the PLY header can be read")
-    return vertices, faces
+    return vertices, faces, None
 
 
-def read_dae(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+def read_dae(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     """COLLADA. As in ROS, the file's unit is applied and its up axis is not."""
     root = parse_xml(data, path)
     unit = root.find("{*}asset/{*}unit")
@@ -56,19 +65,25 @@ def read_dae(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     if root.find(".//{*}instance_controller") is not None:
         raise _broken(path, "has skinned meshes, which are not read")
     _check_dae_size(root, path)
-    for name in _LOOKS:
+    _remove(root, _UNUSED)
+    wardrobe = _spared(path, lambda looks: materials.of_dae(tostring(root), looks, path, files))
+    _remove(root, _LOOKS)
+    vertices, faces, paint = _through_trimesh(tostring(root), path, wardrobe, ignore_broken=False)
+    return vertices * meter, faces, paint
+
+
+def _remove(root: Any, names: tuple[str, ...]) -> None:
+    for name in names:
         for element in root.findall(f".//{{*}}{name}"):
             element.getparent().remove(element)
-    vertices, faces = _through_trimesh(tostring(root), path, ignore_broken=False)
-    return vertices * meter, faces
 
 
-_LOOKS = (
-    *("library_images", "library_effects", "library_materials", "bind_material"),
+_LOOKS = ("library_images", "library_effects", "library_materials", "bind_material")
+_UNUSED = (
     *("library_cameras", "library_lights", "instance_camera", "instance_light"),
     *("library_animations", "extra"),
 )
-"""Elements of COLLADA that say nothing of triangles; trimesh would look for textures."""
+"""Other elements of COLLADA that say nothing of triangles."""
 
 
 def _check_dae_size(root: Any, path: Path) -> None:
@@ -138,26 +153,58 @@ def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     version, length, json_length = struct.unpack_from("<III", data, 4)
     if version != 2 or length != len(data) or json_length > length - 20:
         raise _broken(path, f"its GLB header does not fit its {len(data)} bytes or is not glTF 2")
-    resolver = _check_gltf(data[20 : 20 + json_length], path, files)
-    return _through_trimesh(data, path, resolver=resolver, skip_materials=True)
+    return _read_gltf(data[20 : 20 + json_length], data, path, files)
 
 
 def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     """glTF 2.0 as JSON; its buffers lie inside it or in files of the model."""
-    resolver = _check_gltf(data, path, files)
-    return _through_trimesh(data, path, resolver=resolver, skip_materials=True)
+    return _read_gltf(data, data, path, files)
 
 
-def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
+def _read_gltf(text: bytes, data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+    document, buffers = _check_gltf(text, path, files)
+
+    def read(looks: Looks) -> materials.Wardrobe:
+        chunk = data[len(text) + 28 :]  # of a GLB
+        return materials.Gltf(document, chunk, buffers).wardrobe(looks, path, files)
+
+    wardrobe = _spared(path, read)
+    return _through_trimesh(data, path, wardrobe, resolver=buffers, skip_materials=True)
+
+
+def _spared(path: Path, read: Callable[[Looks], _T]) -> _T | None:
+    """Return what is read of materials where they are wanted; a note where they are amiss."""
+    if looks := wanted_looks():
+        try:
+            with _parsing(path):
+                return read(looks)
+        except InvalidSource:
+            looks.miss(path.name)
+    return None
+
+
+def _through_trimesh(
+    data: bytes, path: Path, wardrobe: materials.Wardrobe | None = None, **options: Any
+) -> _Arrays:
     import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
 
     file_type = path.suffix.lower().lstrip(".")
-    try:
+    with _parsing(path):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=file_type, process=False, **options)
-        return _baked(scene, path, trimesh.Trimesh)
+        vertices, faces, shown = _baked(scene, path, trimesh.Trimesh)
+    if wardrobe is None:
+        return vertices, faces, None
+    return vertices, faces, lambda: _spared(path, lambda _: wardrobe(scene, shown))
+
+
+@contextmanager
+def _parsing(path: Path) -> Iterator[None]:
+    """Make a refusal of whatever a foreign parser meets in a broken file."""
+    try:
+        yield
     except (InvalidSource, MemoryError):
         raise
-    except Exception as error:  # whatever a foreign parser meets in a broken file
+    except Exception as error:
         fault = machine_fault(error)
         if fault is not None:
             raise fault from error
@@ -165,8 +212,9 @@ def _through_trimesh(data: bytes, path: Path, **options: Any) -> _Arrays:
         raise _broken(path, f"cannot be read as {path.suffix[1:].upper()} ({reason})") from None
 
 
-def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
+def _baked(scene: Any, path: Path, kind: type) -> tuple[Floats, Ints, materials.Shown]:
     """Return all triangles of a scene, world frame; mirrored nodes keep their outside outside."""
+    shown: materials.Shown = []
     vertices: list[Floats] = [np.zeros((0, 3))]
     faces: list[Ints] = [np.zeros((0, 3), np.int64)]
     offset = total = 0
@@ -182,10 +230,11 @@ def _baked(scene: Any, path: Path, kind: type) -> _Arrays:
             raise _broken(path, f"a face of {name!r} names a vertex that is not there")
         faces.append((indices[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else indices) + offset)
         vertices.append(apply(T, mesh.vertices))
+        shown.append((name, len(indices)))
         offset += len(mesh.vertices)
         total += len(indices)
         check_size(path, faces=total, vertices=offset)
-    return np.concatenate(vertices), np.concatenate(faces)
+    return np.concatenate(vertices), np.concatenate(faces), shown
 
 
 class _Buffers(dict[str, bytes]):
@@ -195,8 +244,8 @@ class _Buffers(dict[str, bytes]):
         return self[key]
 
 
-def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
-    """Refuse a glTF document that trimesh would misread; give it the buffers it names."""
+def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, _Buffers]:
+    """Refuse a glTF document that trimesh would misread; return it, and the buffers it names."""
     try:
         document = json.loads(text)
         faces = _check_triangles(document, path)
@@ -219,7 +268,7 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> _Buffers:
                     f"{path}: its buffer {quoted(name)} is missing; put it beside it"
                 )
             buffers[name] = files.read(file)
-    return buffers
+    return document, buffers
 
 
 def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
