@@ -317,6 +317,19 @@ def test_collada_has_a_texture_in_the_place_of_a_colour(tmp_path):
         assert "not read" in note
 
 
+def test_a_mesh_on_several_nodes_has_its_colours_on_each(tmp_path):
+    (tmp_path / "t.png").write_bytes(png(Image.fromarray(TEXELS)))
+    gltf = textured()
+    gltf.document["nodes"] += [{"mesh": 0, "scale": [-1, 1, 1]}, {"mesh": 0}]
+    gltf.document["scenes"][0]["nodes"] = [0, 1, 2]
+    (tmp_path / "m.glb").write_bytes(gltf.glb())
+    assert coloured(tmp_path / "m.glb")[1:] == (MEANS * 3, ())
+    text = textured_dae().decode().replace("<node>", '<node id="n">')
+    again = '<node><scale>-1 1 1</scale><instance_node url="#n"/></node>' * 2
+    (tmp_path / "m.dae").write_text(text.replace("</visual_scene>", f"{again}</visual_scene>"))
+    assert coloured(tmp_path / "m.dae")[1:] == ([[50, 100, 100], [100, 50, 50]] * 3, ())
+
+
 UNREAD = {
     "no such material": lambda d: d["meshes"][0]["primitives"][0].update(material=9),
     "no such texture": lambda d: d.update(textures=[]),

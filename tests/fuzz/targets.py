@@ -97,6 +97,18 @@ def _read_mesh(path: Path) -> object:
     return read_mesh(path)
 
 
+def _read_scene(path: Path) -> object:
+    """As it is, and with its colours, which change nothing else."""
+    from articugen.meshes import looks
+    from articugen.meshes.read import read_mesh
+
+    plain = read_mesh(path)
+    with mock.patch.object(looks, "decoded", _decoded), looks.with_looks(wanted=True) as reader:
+        mesh = read_mesh(path)
+    np.testing.assert_array_equal(mesh.triangles, plain.triangles)
+    return mesh.colours, reader.notes()
+
+
 def _check_mesh(path: Path) -> object:
     """Whatever is amiss with a mesh is a finding, or one sentence that is not about us."""
     from articugen.inspection.check.door import check
@@ -151,21 +163,24 @@ def _read_partnet(path: Path) -> object:
 _BESIDE = ("mobility_v2.json", "semantics.txt", "meta.json")
 
 
+def _decoded(data: bytes) -> np.ndarray | None:
+    """A texture as the process of its own decodes it, in this one: None is what is refused."""
+    from articugen.meshes import pixels
+
+    try:
+        raw = pixels.reduced(data)
+    except Exception:  # whatever a decoder meets
+        return None
+    width, height = np.frombuffer(raw, np.uint32, 2)
+    return np.frombuffer(raw, np.uint8, offset=8).reshape(height, width, 3)
+
+
 def _read_looks(path: Path) -> object:
-    """Textures as the process of their own decodes them, in this one: None is what is refused."""
-    from articugen.meshes import looks, pixels
+    from articugen.meshes import looks
     from articugen.meshes.read import read_mesh
 
-    def decoded(data: bytes) -> np.ndarray | None:
-        try:
-            raw = pixels.reduced(data)
-        except Exception:  # whatever a decoder meets
-            return None
-        width, height = np.frombuffer(raw, np.uint32, 2)
-        return np.frombuffer(raw, np.uint8, offset=8).reshape(height, width, 3)
-
     _laid(path, _LOOKS)
-    with mock.patch.object(looks, "decoded", decoded), looks.with_looks(wanted=True) as reader:
+    with mock.patch.object(looks, "decoded", _decoded), looks.with_looks(wanted=True) as reader:
         return read_mesh(path.parent / _LOOKS[0]).colours, reader.notes()
 
 
@@ -428,12 +443,14 @@ _IN_DAE = (
     *(b"<float_array", b' count="', b' offset="', b' stride="', b"<accessor", b' source="#'),
     *(b"<unit meter='0.01'/>", b"<instance_controller", b"<scale>", b"<rotate>", b"<skew>"),
     *(b"<init_from>../outside/secret.bin</init_from>", b"<library_images>", b"<lookat>"),
+    *(b"<diffuse>", b"<color>", b"<texture texture=", b'<instance_material symbol="'),
 )
 _IN_GLTF = (
     *(b'"uri":', b'"../outside/secret.bin"', b'"@OUTSIDE@/secret.bin"', b'"data:,', b"base64,"),
     *(b'"count":', b'"byteOffset":', b'"byteLength":', b'"componentType":', b'"sparse":'),
     *(b'"children":', b'"mode":', b'"matrix":', b'"rotation":', b'"scale":', b'"extensions":'),
     *(b'"KHR_draco_mesh_compression"', b'"images":', b'"textures":', b'"type":', b'"normalized"'),
+    *(b'"materials":', b'"baseColorFactor":', b'"baseColorTexture":', b'"TEXCOORD_0":'),
 )
 _IN_YAML = (
     *(b": ", b"\n", b"  ", b"- ", b"[", b"]", b"{", b"}", b"&a ", b"*a", b"<<: ", b"!!int ", b"|"),
@@ -462,8 +479,9 @@ _IN_USDA = (
 
 
 def _mesh(kind: str, tokens: Sequence[bytes], mended=_as_it_is, made=_nothing_more) -> Target:
+    read = _read_scene if kind in ("dae", "glb", "gltf") else _read_mesh
     return Target(
-        kind, f"m.{kind}", _read_mesh, (InvalidSource,), tokens=tokens, mended=mended, made=made
+        kind, f"m.{kind}", read, (InvalidSource,), tokens=tokens, mended=mended, made=made
     )
 
 
