@@ -29,22 +29,24 @@ _UV = {5126: ("<f4", 1.0), 5121: ("u1", 255.0), 5123: ("<u2", 65535.0)}
 Shown = list[tuple[str, int]]
 """Names of geometries of a scene of trimesh, and how many faces each has, in the order of faces."""
 
-Wardrobe = Callable[[Any, Shown], Bytes | None]
+ScenePaint = Callable[[Any, Shown], Bytes | None]
 """Returns (F, 3) sRGB of the faces of such a scene; None where it states no material."""
 
 
-class _Worn(NamedTuple):
+class _Coat(NamedTuple):
     """Material of a geometry, and where the corners of its faces lie in the texture, v up."""
 
     material: Material = GREY
     places: Floats = np.full((1, 3, 2), np.nan)  # or (F, 3, 2)
 
 
-def _painted(looks: Looks, worn: list[_Worn], shown: Shown) -> Bytes | None:
+def _painted(looks: Looks, coats: list[_Coat], shown: Shown) -> Bytes | None:
     counts = [n for _, n in shown]
-    places = [np.broadcast_to(w.places, (n, 3, 2)) for w, n in zip(worn, counts, strict=True)]
-    which = np.repeat(np.arange(len(worn)), counts)
-    return looks.painted([w.material for w in worn], which, np.concatenate(places))
+    places = [
+        np.broadcast_to(coat.places, (n, 3, 2)) for coat, n in zip(coats, counts, strict=True)
+    ]
+    which = np.repeat(np.arange(len(coats)), counts)
+    return looks.painted([coat.material for coat in coats], which, np.concatenate(places))
 
 
 class Gltf:
@@ -58,7 +60,7 @@ class Gltf:
         ]
         self._document = document
 
-    def wardrobe(self, looks: Looks, path: Path, files: ModelFiles) -> Wardrobe:
+    def scene_paint(self, looks: Looks, path: Path, files: ModelFiles) -> ScenePaint:
         """Read the materials, and the files of their textures."""
         known: list[tuple[Material, str]] = []
         for stated in self._document.get("materials", [])[:_MOST_MATERIALS]:
@@ -69,23 +71,23 @@ class Gltf:
             attribute = f"TEXCOORD_{texture.get('texCoord', 0)}"
             known.append((Material(tuple(srgb(light).tolist()), picture), attribute))
 
-        def worn(primitive: Any, mesh: Any) -> _Worn:
+        def coat(primitive: Any, mesh: Any) -> _Coat:
             if "material" not in primitive:
-                return _Worn()
+                return _Coat()
             material, attribute = known[primitive["material"]]
             place = primitive["attributes"].get(attribute)
             if material.texture is None or place is None:
-                return _Worn(material)
-            return _Worn(material, self._places(place, mesh.faces))
+                return _Coat(material)
+            return _Coat(material, self._places(place, mesh.faces))
 
-        def wardrobe(scene: Any, shown: Shown) -> Bytes | None:
+        def scene_paint(scene: Any, shown: Shown) -> Bytes | None:
             every = chain.from_iterable(m["primitives"] for m in self._document["meshes"])
             drawn = [primitive for primitive in every if primitive.get("mode", 4) in _MADE]
             of_name = dict(zip(scene.geometry, drawn, strict=True))
-            wears = {name: worn(of_name[name], scene.geometry[name]) for name in dict(shown)}
-            return _painted(looks, [wears[name] for name, _ in shown], shown)
+            coats = {name: coat(of_name[name], scene.geometry[name]) for name in dict(shown)}
+            return _painted(looks, [coats[name] for name, _ in shown], shown)
 
-        return wardrobe
+        return scene_paint
 
     def _texture(self, texture: Any, looks: Looks, path: Path, files: ModelFiles) -> Path | None:
         """Read a texture, undecoded; None where it cannot be read."""
@@ -127,21 +129,21 @@ def _inline(uri: str) -> bytes:
     return base64.b64decode(uri.partition("base64,")[2])
 
 
-def of_dae(data: bytes, looks: Looks, path: Path, files: ModelFiles) -> Wardrobe:
+def of_dae(data: bytes, looks: Looks, path: Path, files: ModelFiles) -> ScenePaint:
     """Read the materials of a COLLADA document whose size is checked, and the files of their
     textures. All of it is read, as the triangles are once more without what it states of looks."""
     from collada import Collada, DaeError, scene, triangleset  # noqa: PLC0415 - slow to import
 
-    def worn(primitive: Any, material: Any) -> _Worn:
+    def coat(primitive: Any, material: Any) -> _Coat:
         if material not in known:
             known[material] = _of_effect(material.effect.diffuse, looks, path, files)
         places = np.full((len(primitive.vertex_index), 3, 2), np.nan)
         if primitive.texcoordset:
             places = primitive.texcoordset[0][primitive.texcoord_indexset[0]].astype(np.float64)
-        return _Worn(known[material], places)
+        return _Coat(known[material], places)
 
-    def walk(node: Any) -> Iterator[_Worn]:
-        """Give what geometries wear, in the order in which trimesh makes them."""
+    def walk(node: Any) -> Iterator[_Coat]:
+        """Yield the coats of geometries in the order in which trimesh makes these."""
         if not isinstance(node, scene.GeometryNode):
             for child in getattr(node, "children", None) or ():
                 yield from walk(child)
@@ -149,16 +151,16 @@ def of_dae(data: bytes, looks: Looks, path: Path, files: ModelFiles) -> Wardrobe
         if node not in nodes:
             bound = {material.symbol: material.target for material in node.materials}
             nodes[node] = [
-                worn(primitive, bound.get(primitive.material))
+                coat(primitive, bound.get(primitive.material))
                 for primitive in map(_as_triangles, node.geometry.primitives)
                 if isinstance(primitive, triangleset.TriangleSet) and primitive.vertex is not None
             ]
         yield from nodes[node]
 
     known: dict[Any, Material] = {None: GREY}
-    nodes: dict[Any, list[_Worn]] = {}
+    nodes: dict[Any, list[_Coat]] = {}
     document: Any = Collada(io.BytesIO(data), ignore=[DaeError])
-    every = [worn for node in document.scene.nodes for worn in walk(node)]
+    every = [coat for node in document.scene.nodes for coat in walk(node)]
     return lambda _scene, shown: _painted(looks, every, shown)
 
 

@@ -66,9 +66,11 @@ def read_dae(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
         raise _broken(path, "has skinned meshes, which are not read")
     _check_dae_size(root, path)
     _remove(root, _UNUSED)
-    wardrobe = _spared(path, lambda looks: materials.of_dae(tostring(root), looks, path, files))
+    scene_paint = _spared(path, lambda looks: materials.of_dae(tostring(root), looks, path, files))
     _remove(root, _LOOKS)
-    vertices, faces, paint = _through_trimesh(tostring(root), path, wardrobe, ignore_broken=False)
+    vertices, faces, paint = _through_trimesh(
+        tostring(root), path, scene_paint, ignore_broken=False
+    )
     return vertices * meter, faces, paint
 
 
@@ -164,12 +166,12 @@ def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
 def _read_gltf(text: bytes, data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     document, buffers = _check_gltf(text, path, files)
 
-    def read(looks: Looks) -> materials.Wardrobe:
+    def read(looks: Looks) -> materials.ScenePaint:
         chunk = data[len(text) + 28 :]  # of a GLB
-        return materials.Gltf(document, chunk, buffers).wardrobe(looks, path, files)
+        return materials.Gltf(document, chunk, buffers).scene_paint(looks, path, files)
 
-    wardrobe = _spared(path, read)
-    return _through_trimesh(data, path, wardrobe, resolver=buffers, skip_materials=True)
+    scene_paint = _spared(path, read)
+    return _through_trimesh(data, path, scene_paint, resolver=buffers, skip_materials=True)
 
 
 def _spared(path: Path, read: Callable[[Looks], _T]) -> _T | None:
@@ -184,7 +186,7 @@ def _spared(path: Path, read: Callable[[Looks], _T]) -> _T | None:
 
 
 def _through_trimesh(
-    data: bytes, path: Path, wardrobe: materials.Wardrobe | None = None, **options: Any
+    data: bytes, path: Path, scene_paint: materials.ScenePaint | None = None, **options: Any
 ) -> _Arrays:
     import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
 
@@ -192,9 +194,9 @@ def _through_trimesh(
     with _parsing(path):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=file_type, process=False, **options)
         vertices, faces, shown = _baked(scene, path, trimesh.Trimesh)
-    if wardrobe is None:
+    if scene_paint is None:
         return vertices, faces, None
-    return vertices, faces, lambda: _spared(path, lambda _: wardrobe(scene, shown))
+    return vertices, faces, lambda: _spared(path, lambda _: scene_paint(scene, shown))
 
 
 @contextmanager
