@@ -52,6 +52,7 @@ FOREIGN: dict[str, set[str]] = {
         "pictures.layout",
         "pictures.shading",
     },
+    "collada": {"meshes.materials"},
     "distributed": {"pipeline.executors.dask"},
     "fsspec": {"store.remote"},
     "h5py": {"export.hdf5", "store.columns", "store.writer"},
