@@ -282,8 +282,8 @@ def test_a_package_that_is_called_like_a_function_can_be_called(first: str) -> N
 def test_the_core_needs_no_optional_library() -> None:
     """All but the files that wrap them import where open3d, torch and the like are absent."""
     optional = (
-        "open3d", "pyrender", "OpenGL", "sapien", "tensorboard", "torch", "scipy",
-        "pxr", "pyarrow", "viser", "distributed", "obstore", "fsspec", "submitit",
+        "open3d", "pyrender", "OpenGL", "safetensors", "sapien", "tensorboard", "torch",
+        "scipy", "pxr", "pyarrow", "viser", "distributed", "obstore", "fsspec", "submitit",
     )  # fmt: skip
     starts = {m: _imports(m, at_start=True) for m in MODULES}
     without = {"articugen.__main__"}

@@ -57,7 +57,7 @@ def training(name: str, runs: Path, **how: object) -> Training:
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything in this process: others take seconds to start."""
     monkeypatch.setattr(windows, "in_order", lambda f, some, **_: map(f, some))
-    monkeypatch.setattr(found, "Crew", lambda f, workers: Crew(f, workers=0 * workers))
+    monkeypatch.setattr(found, "Crew", lambda f, **of: Crew(f, **{**of, "workers": 0}))
 
 
 @pytest.mark.usefixtures("_here")
