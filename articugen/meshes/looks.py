@@ -1,8 +1,8 @@
 """Base colours of mesh files, a colour a face, as their materials state them.
 
-That is the Kd of an OBJ's material, times the mean of the texture (map_Kd) over the face. Other
-formats state none here; `materials` reads those of glTF and COLLADA. Colours are read
-where somebody wants them (`with_looks`) alone, for their files count in a model's hash.
+Of an OBJ that is its material's Kd, times the mean of the texture (map_Kd) over the face; glTF and
+COLLADA are read in `materials`. Colours are read where somebody wants them (`with_looks`) alone,
+for their files count in a model's hash.
 """
 
 import os

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from articugen.core.errors import InvalidArgument, InvalidCheckpoint, UnfitData
 from articugen.core.files import make_folder
 from articugen.core.processes import Crew
-from articugen.core.records import JointKind
+from articugen.core.records import JointKind, dequantize
 from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discover
 from articugen.learning.sealed import read_arrays, write_arrays
 
 if TYPE_CHECKING:  # imports torch, which workers that look for joints have no use for
     from articugen.learning.data.split import PackedSplit
 
-FORMAT = "articugen joints 6"
+FORMAT = "articugen joints 7"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 MOST_POSES = 128
@@ -167,8 +167,7 @@ def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
 
 def _points(poses: _Clouds) -> NDArray[np.float64]:
     """Return (K, n, 3) the points, in the unit frame."""
-    stored = poses[0].view(np.uint16).astype(np.float32)
-    return (stored / np.float32(65535.0) - np.float32(0.5)).astype(np.float64)
+    return dequantize(poses[0].view(np.uint16))
 
 
 def _plain(discovery: Discovery | None) -> dict[str, Any]:
