@@ -27,6 +27,7 @@ Face = tuple[int, ...]
 """A convex, plane polygon: vertex indices, counter-clockwise seen from outside its cell."""
 
 FLAT = 1e-9  # metres by which a vertex may lie off its face's plane
+PLANE = FLAT / 10  # metres between the diagonals of a side that is one face
 
 _ALMOST = 1.0 - 1e-6
 
@@ -325,7 +326,7 @@ def _sides(vertices: Floats, quads: NDArray[np.int64]) -> list[list[Face]]:
     height = dot(normal, q - p) / norm(normal)
     return [
         [(a, b, c, d)]
-        if abs(h) < FLAT / 10
+        if abs(h) < PLANE
         else [(a, b, d), (b, c, d)]
         if h > 0.0
         else [(a, b, c), (a, c, d)]
