@@ -297,7 +297,7 @@ def test_the_table_fits_a_narrow_terminal() -> None:
     found = Discovery((joint, turns), np.zeros((9, 3)), np.ones(9, np.int64))
     console = Console(width=80)
     with console.capture() as shown:
-        console.print(_table(found))
+        console.print(_table(found.joints))
     assert len(shown.get().strip().splitlines()) == 4
 
 

@@ -17,14 +17,15 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from articugen.core.records import Floats
-    from articugen.discovery import Discovery
-    from articugen.discovery.objects import ObjectGroups, ObjectJoints
+    from articugen.discovery import Discovery, FoundJoint
+    from articugen.discovery.objects import CategoryJoints, ObjectGroups, ObjectJoints
 
 
 @offered(
     "articugen discover data/laptop",
     "articugen discover closed.ply ajar.ply open.ply --json joints.json",
     "articugen discover data/laptop --groups",
+    "articugen discover data/laptop --shared",
 )
 def discover(
     paths: Sequence[Path] = argument(
@@ -44,13 +45,18 @@ def discover(
         "Find which instances of a data set show one object instead, and compare that "
         "with the objects it names.",
     ),
+    shared: bool = option(
+        False,
+        "Find the joints that all objects of a data set share instead, from the last pose of each.",
+    ),
     output: Path | None = option(None, "Write the joints, or the groups, there.", "--json"),
 ) -> None:
     """Find the joints of objects from several poses of each, without labels."""
     from articugen.core.files import check_place, write_atomically
     from articugen.discovery import objects as found_joints
 
-    found_joints.check_poses(paths, groups=groups)
+    needs = "--groups" if groups else "--shared" if shared else ""
+    found_joints.check_poses(paths, option=needs)
     if output is not None:
         check_place(output)
     if groups:
@@ -58,6 +64,11 @@ def discover(
             objects = found_joints.group_all(paths[0])
         say(_agreement(objects))
         numbers: object = objects.as_json()
+    elif shared:
+        with stderr.status("searching ..."):
+            category = found_joints.discover_category(paths[0], joints=joints)
+        _print_shared(category)
+        numbers = category.as_json()
     elif len(paths) > 1:
         with stderr.status("searching ..."):
             discovery = found_joints.discover(paths, joints=joints)
@@ -89,6 +100,32 @@ def _agreement(objects: "ObjectGroups") -> str:
     )
 
 
+def _print_shared(category: "CategoryJoints") -> None:
+    joints, count = category.category.joints, len(category.objects)
+    if joints:
+        middle = count // 2  # the table has one pivot, that of an object; JSON has all
+        stdout.print(_table([joint.of(middle) for joint in joints]))
+        say(f"pivots are those of {category.objects[middle]}")
+    elif (best := category.category.doubtful) is not None:
+        say(
+            f"no joint is sure: the best, {best.kind}, has a score of {best.score:.2f}, "
+            f"{best.margin:.2f} times that of another axis or kind; give more objects, or --joints "
+            "if the kind is known"
+        )
+    else:
+        say("the objects agree all over: no joint is in different states in enough of them")
+    for j, right in category.judged.items():
+        pivot = "" if right.pivot is None else f"pivot off by {right.pivot:.3f}, "
+        say(
+            f"joint {j + 1}: axis off by {right.axis:.1f} degrees, {pivot}states correlate "
+            f"{right.states:.2f}, IoU of its points {right.iou:.2f}"
+        )
+    say(
+        f"{counted(len(joints), 'joint')} of {category.truth} in {counted(count, 'object')}, "
+        f"{category.seconds:.1f} s of CPU"
+    )
+
+
 def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":
     from articugen.discovery import objects as found_joints
 
@@ -112,12 +149,12 @@ def _print(name: str, discovery: "Discovery") -> None:
     if name:
         say((name, "bold"))
     if discovery.joints:
-        stdout.print(_table(discovery))
+        stdout.print(_table(discovery.joints))
     else:
         say("something moves, but no single joint explains it")
 
 
-def _table(discovery: "Discovery") -> "Table":
+def _table(joints: "Sequence[FoundJoint]") -> "Table":
     import numpy as np
 
     from articugen.core.records import JointKind
@@ -126,7 +163,7 @@ def _table(discovery: "Discovery") -> "Table":
         return " ".join(f"{x:.{digits}f}" for x in np.round(v, digits) + 0.0)
 
     table = quiet_table("joint", "axis", "pivot", "states", ">score")  # 80 columns; JSON has more
-    for joint in discovery.joints:
+    for joint in joints:
         turns = joint.kind == JointKind.REVOLUTE
         low, high = joint.states.min(), joint.states.max()
         span = (

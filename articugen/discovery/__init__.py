@@ -1,4 +1,5 @@
-"""The joints of an object, found from several poses of it, without labels."""
+"""The joints of an object, found from several poses of it, or those that objects of a category
+share, from one pose of each; without labels."""
 
 from articugen.discovery.discover import (
     KINDS,
@@ -9,14 +10,18 @@ from articugen.discovery.discover import (
     discover,
 )
 from articugen.discovery.ownership import Ownership, assign_material
+from articugen.discovery.shared import Category, SharedJoint, discover_shared
 
 __all__ = [
     "KINDS",
     "LEAN",
+    "Category",
     "Directions",
     "Discovery",
     "FoundJoint",
     "Ownership",
+    "SharedJoint",
     "assign_material",
     "discover",
+    "discover_shared",
 ]

@@ -196,7 +196,11 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
             nothing moves; normals are not one for each point.
     """
-    sound = _checked(poses)
+    if len(poses) < 2:
+        raise InvalidArgument(
+            f"{len(poses)} pose of the object, which shows no motion; give two or more"
+        )
+    sound = checked(poses)
     low = np.min([cloud.min(0) for cloud in sound], axis=0)
     high = np.max([cloud.max(0) for cloud in sound], axis=0)
     size = max(float((high - low).max()), 1e-12) / _EDGE
@@ -262,11 +266,12 @@ def _surface(cloud: Surface, near: float) -> Surface:
     return cloud.shaped(Cells.of([cloud]), near)
 
 
-def _checked(poses: Sequence[Any]) -> list[Floats]:
-    if len(poses) < 2:
-        raise InvalidArgument(
-            f"{len(poses)} pose of the object, which shows no motion; give two or more"
-        )
+def checked(poses: Sequence[Any]) -> list[Floats]:
+    """Return the poses as clouds (n, 3) of floats.
+
+    Raises:
+        InvalidArgument: one is no cloud of points.
+    """
     clouds = [np.asarray(pose, np.float64) for pose in poses]
     for k, cloud in enumerate(clouds):
         if cloud.ndim != 2 or cloud.shape[1] != 3:

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen import discovery
+from articugen.core.arrays import Ints
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.core.geometry import motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.discovery.groups import Groups, agreement, group_instances
+from articugen.discovery.shared import Category, SharedJoint, discover_shared
 from articugen.meshes.points import numbers_of_file
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
@@ -127,6 +129,90 @@ def discover_all(
 
 
 @dataclass(frozen=True, eq=False)
+class SharedJudged:
+    """Agreement of a shared joint with the truth of a data set: by how many degrees the axis and by
+    how much of the unit frame the pivot is off (medians over the objects; of slides None), the
+    correlation of the states, and the IoU of the points that the joint moves."""
+
+    axis: float
+    pivot: float | None
+    states: float
+    iou: float
+
+
+@dataclass(frozen=True, eq=False)
+class CategoryJoints:
+    """Joints that a data set's objects share: how many there are in `truth`, and of each that was
+    found, by its number, how it is `judged` where the truth has one of its kind there."""
+
+    category: Category
+    objects: list[str]
+    truth: int
+    judged: Mapping[int, SharedJudged]
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain numbers and texts."""
+        category = self.category
+        numbers = [
+            {
+                **{"kind": str(joint.kind), "axis": joint.axis.tolist(), "score": joint.score},
+                **{"margin": joint.margin, "pivots": joint.pivot.tolist()},
+                "states": joint.states.tolist(),
+                "judged": vars(self.judged[j]) if j in self.judged else None,
+            }
+            for j, joint in enumerate(category.joints)
+        ]
+        stretch, shift = category.stretch.tolist(), category.shift.tolist()
+        return {"objects": self.objects, "joints": numbers, "stretch": stretch, "shift": shift}
+
+
+def discover_category(
+    data: str | os.PathLike[str] | DataSet, *, joints: Sequence[str] = ()
+) -> CategoryJoints:
+    """Find the joints that a data set's objects share from the last instance of each, by its
+    surface points and normals alone, and judge them.
+
+    Args:
+        data: a data set, its folder or one of its shards.
+        joints: as for `discover`.
+
+    Raises:
+        CorruptShard: the data cannot be read.
+        InvalidArgument: the objects are few, or there is no such kind of joint.
+    """
+    kinds = _kinds(joints)
+    data = data if isinstance(data, DataSet) else open_data_set(Path(data))
+    rows = [list(data.of(object_id))[-1] for object_id in data.objects]
+    began = time.process_time()
+    category = discover_shared(
+        [row.surface.points for row in rows], [row.surface.normals for row in rows], kinds=kinds
+    )
+    took = time.process_time() - began
+    truth = min((len(row.joints) for row in rows), default=0)
+    label = np.concatenate([row.surface.part for row in rows])
+    part = np.concatenate(category.part)
+    judged = dict[int, SharedJudged]()
+    for j, f in _matched(part, len(category.joints), label, truth).items():
+        if all(row.joints[j].kind == str(category.joints[f].kind) for row in rows):
+            both, any_ = ((label == j + 1) & (part == f + 1)), ((label == j + 1) | (part == f + 1))
+            judged[f] = _shared(category.joints[f], j, rows, float(both.sum() / any_.sum()))
+    return CategoryJoints(category, list(data.objects), truth, judged, took)
+
+
+def _shared(joint: SharedJoint, j: int, rows: Sequence[Row], iou: float) -> SharedJudged:
+    true = [row.joints[j] for row in rows]
+    along = np.array([joint.axis @ one.axis for one in true])
+    states = np.array([one.state_unit for one in true]) * np.sign(along[0])
+    off = [axes_apart(joint.of(i), one.axis, one.pivot) for i, one in enumerate(true)]
+    leans = float(np.degrees(np.arccos(np.clip(np.abs(along), 0.0, 1.0)).mean()))
+    varies = np.ptp(states) > 0.0 and np.ptp(joint.states) > 0.0
+    like = float(np.corrcoef(states, joint.states)[0, 1]) if varies else 0.0
+    turns = joint.kind == JointKind.REVOLUTE
+    return SharedJudged(leans, float(np.median(off)) if turns else None, like, iou)
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectGroups:
     """A data set's instances in groups, by the object that each shows, as their clouds have it;
     their keys (object id, state index), and the `groups.agreement` with the data set's objects."""
@@ -205,7 +291,8 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
     truth, first = rows[0].joints, rows[0]
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
     joints = discovery.joints if discovery else ()
-    of = _matched(discovery, first.surface.part, len(truth)) if discovery else {}
+    labels = first.surface.part
+    of = _matched(discovery.part, len(joints), labels, len(truth)) if discovery else {}
     points, part = np.asarray(first.surface.points, np.float64), first.surface.part
     apart = list[float]()
     kind, axis, pivot, near = True, True, True, True
@@ -251,17 +338,12 @@ def axes_apart(joint: FoundJoint, axis: Floats, pivot: Floats) -> float:
     return float(np.linalg.norm(off - (off @ joint.axis) * joint.axis))
 
 
-def _matched(discovery: Discovery, part: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
-    """Match true joints with found ones by the number of points their parts have in common."""
-    common = np.array(
-        [
-            [
-                ((part == j + 1) & (discovery.part == f + 1)).sum()
-                for f in range(len(discovery.joints))
-            ]
-            for j in range(joints)
-        ]
-    ).reshape(joints, len(discovery.joints))
+def _matched(part: Ints, count: int, truth: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
+    """Match true joints with `count` that were found, by the number of points that their parts have
+    in common."""
+    pairs = part[(part > 0) & (truth > 0)] - 1, truth[(part > 0) & (truth > 0)].astype(int) - 1
+    common = np.zeros((joints, count), np.int64)
+    np.add.at(common, pairs[::-1], 1)
     of: dict[int, int] = {}
     while common.size and common.max() > 0:
         j, f = np.unravel_index(int(common.argmax()), common.shape)
@@ -296,13 +378,13 @@ def mean_error(objects: Sequence[ObjectJoints], name: str) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def check_poses(paths: Sequence[Path], *, groups: bool = False) -> None:
-    """Raise InvalidArgument where files are neither a data set nor several poses, or no data set
-    whose instances are to be grouped."""
+def check_poses(paths: Sequence[Path], *, option: str = "") -> None:
+    """Raise InvalidArgument where files are neither a data set nor several poses, or no data set,
+    which an `option` needs."""
     is_cloud = paths[0].is_file() and paths[0].suffix != ".h5"
-    if groups and (len(paths) > 1 or is_cloud):
+    if option and (len(paths) > 1 or is_cloud):
         raise InvalidArgument(
-            "--groups needs one data set's folder or shard: clouds in files have no normals"
+            f"{option} needs one data set's folder or shard: clouds in files have no normals"
         )
     if len(paths) == 1 and is_cloud:
         raise InvalidArgument(
