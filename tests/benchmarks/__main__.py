@@ -42,7 +42,7 @@ def main() -> None:
     wide = Console(width=max(console.width, 200))
     for table in tables.all_tables(report):
         table.print(wide)
-    console.print(missing_picture or f"drawn: {options.out}/methods.png, scaling.png")
+    console.print(missing_picture or f"drawn: {options.out}/methods.png, scaling.png", markup=False)
     console.print(f"saved: {options.out}/report.json, report.md, glance.md")
 
 
