@@ -8,6 +8,7 @@ import pytest
 from command_line import run
 from ppd_data import write_boxes
 
+import articugen as ag
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import rotation_about
 from articugen.core.records import Floats, JointKind
@@ -113,10 +114,22 @@ def test_the_command_judges_what_a_data_set_shares(tmp_path: Path) -> None:
     assert "in 6 objects" in words
     numbers = json.loads((tmp_path / "j").read_text())
     assert len(numbers["objects"]) == len(numbers["stretch"]) == 6
-    assert ("no joint" in words) == (not numbers["joints"])
+    hinge, rows = numbers["joints"][0], [list(ag.open(data).of(o))[-1] for o in numbers["objects"]]
+    true = [row.joints[0] for row in rows]
+    off = np.array(hinge["pivots"]) - [one.pivot for one in true]
+    away = np.linalg.norm(np.cross(off, [one.axis for one in true]), axis=1)
+    states = abs(np.corrcoef(hinge["states"], [one.state_unit for one in true])[0, 1])
+    assert hinge["judged"]["axis"] == pytest.approx(0.0, abs=1e-4)
+    assert hinge["judged"]["pivot"] == pytest.approx(np.median(away), abs=1e-6)
+    assert abs(hinge["judged"]["states"]) == pytest.approx(states)
+    assert states > 0.9
+    assert f"pivot off by {np.median(away):.3f}" in words
     few = run("discover", write_boxes(tmp_path / "few", train=2, test=0, states=1), "--shared")
     assert few.exit_code == 1
     assert "2 objects say little" in few.output
     np.save(tmp_path / "a.npy", np.zeros((99, 3)))
     files = run("discover", tmp_path / "a.npy", "--shared")
     assert "--shared needs one data set's folder or shard" in " ".join(files.output.split())
+    both = run("discover", data, "--shared", "--groups")
+    assert both.exit_code == 1
+    assert "ask one at a time" in " ".join(both.output.split())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from articugen.cli.options import argument, offered
 from articugen.cli.saying import counting_bar, say, stderr, stdout
+from articugen.core.errors import InvalidArgument
 from articugen.core.tables import counted, quiet_table
 from articugen.pipeline.options import option
 
@@ -55,6 +56,8 @@ def discover(
     from articugen.core.files import check_place, write_atomically
     from articugen.discovery import objects as found_joints
 
+    if groups and shared:
+        raise InvalidArgument("--groups and --shared are two questions; ask one at a time")
     needs = "--groups" if groups else "--shared" if shared else ""
     found_joints.check_poses(paths, option=needs)
     if output is not None:
