@@ -8,7 +8,7 @@ import torch
 from ppd_data import write_boxes
 from test_discovery import LID, posed, slide, turn
 
-from articugen.core.errors import InvalidCheckpoint, UnfitData
+from articugen.core.errors import UnfitData
 from articugen.core.records import JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.learning.data.batch import BatchSpec
@@ -18,7 +18,13 @@ from articugen.learning.ppd.network import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm import found as found_module
-from articugen.learning.ppd.warm.found import _Asked, _look, _looked_for, discovered, kinds_of
+from articugen.learning.ppd.warm.found import (
+    _Asked,
+    _look,
+    _looked_for,
+    discovered,
+    kinds_of,
+)
 from articugen.learning.ppd.warm.targets import (
     _from_closed,
     _owned,
@@ -317,21 +323,18 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         discovered(split, tmp_path, WAYS, kill)
-    (folder,) = tmp_path.glob(".joints-*")
-    kept, missing = (folder / f"{i}-{'-'.join(map(str, KINDS))}.safetensors" for i in range(2))
+    clouds = [
+        (split.surface[rows].numpy(), split.normals[rows].numpy())
+        for rows in map(split.poses_of, dict.fromkeys(split.object_id.tolist()))
+    ]
+    kept, missing = (_Asked(cloud, KINDS, WAYS, tmp_path / "joints").path for cloud in clouds)
     before = kept.stat().st_mtime_ns
     missing.write_bytes(b"lost with the power")
-    times, said = [], []
-
-    def tell(sentence: str) -> None:
-        times.append(kept.stat().st_mtime_ns)
-        said.append(sentence)
-
-    first, rows = discovered(split, tmp_path, WAYS, tell)
-    assert times == [before] * 2
-    assert not folder.exists()
-    assert len(said) == len(rows) == 2
-    assert said[-1] == "looking for joints in the training objects: 2 of 2"
+    sentences = []
+    first, rows = discovered(split, tmp_path, WAYS, sentences.append)
+    assert kept.stat().st_mtime_ns == before
+    assert len(rows) == 2
+    assert sentences == ["looking for joints in the training objects: 2 of 2"]
     monkeypatch.setattr(found_module, "_look", None)  # the second time nothing is looked for
     # Nor where the recipe was read again: 0.0 stands there where the default is 0.
     read_again = ModelSettings.model_validate(MODEL.model_dump(mode="json"))
@@ -343,10 +346,7 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
             for a, b in zip(one.joints, other.joints, strict=True):
                 np.testing.assert_array_equal(a.states, b.states)
                 assert a.kind == b.kind
-    (path,) = tmp_path.glob("joints-*.safetensors")
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(InvalidCheckpoint, match="joints-"):
-        discovered(split, tmp_path, WAYS)
+    discovered(split.of(split.object_id[:1]), tmp_path, WAYS)  # nor in a smaller set
 
 
 def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
@@ -362,9 +362,7 @@ def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
         clouds.append((stored.view(np.int16), unknown))
     said = []
     found = _looked_for(clouds, WAYS, tmp_path, said.append)
-    first, last = (
-        _look(_Asked(clouds[i], KINDS, WAYS, tmp_path / f"{i}.safetensors")) for i in (0, 4)
-    )
+    first, last = (_look(_Asked(clouds[i], KINDS, WAYS, tmp_path)) for i in (0, 4))
     assert kinds_of(found) == {JointKind.PRISMATIC}
     np.testing.assert_array_equal(found[0].part, first.part)
     assert JointKind.REVOLUTE in {joint.kind for joint in last.joints}

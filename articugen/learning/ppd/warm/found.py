@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +25,9 @@ if TYPE_CHECKING:  # imports torch, which workers that look for joints have no u
 
 FORMAT = "articugen joints 7"
 """Of the files that keep what was found; to be raised when something else would be found."""
+
+FOLDER = "joints"
+"""Holds a file for each object, beside the runs."""
 
 MOST_POSES = 128
 """Poses of an object that are searched, which takes seconds; the others have no targets."""
@@ -55,18 +57,16 @@ def discovered(
 ) -> tuple[Found, list[NDArray[np.intp]]]:
     """Return what moves in each object, and the instances that are its poses, at most `MOST_POSES`.
 
-    It is kept in a file `beside` the run, named after what is searched: several seeds ask for it.
-    Until all are searched each object has a file of its own, so that a run that was killed goes on
-    with the others.
+    What is found in an object is kept in a file `beside` the run, named after what is searched:
+    several seeds ask for it, a run that was killed, a later window of a stream.
 
     Args:
         training: with normals.
         directions: where joints of each kind point, as for `discover`.
-        notify: called with a sentence for each object.
+        notify: called with a sentence for each object that is searched.
 
     Raises:
         UnfitData: in no object anything is found.
-        InvalidCheckpoint: the file is damaged.
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
@@ -74,20 +74,14 @@ def discovered(
         (training.surface[some].cpu().numpy(), training.normals[some].cpu().numpy())
         for some in rows
     ]
-    path = beside / f"joints-{_digest(clouds, directions)}.safetensors"
-    if path.is_file():
-        kept = read_arrays(path, FORMAT)["objects"]
-        return [_read(kept[str(i)], cloud) for i, cloud in enumerate(clouds)], rows
-    looked = beside / f".{path.stem}"
-    make_folder(looked)
-    discoveries = _looked_for(clouds, directions, looked, notify)
+    folder = beside / FOLDER
+    make_folder(folder)
+    discoveries = _looked_for(clouds, directions, folder, notify)
     if not any(discoveries):
         raise UnfitData(
             f"{beside}: in no training object do the poses show what moves; make the data set "
             "with more states, or set warm_start.share=0"
         )
-    write_arrays(path, {"objects": {str(i): _plain(x) for i, x in enumerate(discoveries)}}, FORMAT)
-    shutil.rmtree(looked, ignore_errors=True)
     return discoveries, rows
 
 
@@ -102,13 +96,22 @@ def kinds_of(discoveries: Found) -> set[JointKind]:
 
 
 class _Asked(NamedTuple):
-    """The poses of an object; the kinds of joints to look for, and where those point; the file for
-    what is found."""
+    """The poses of an object; the kinds of joints to look for, and where those point; the folder
+    for what is found."""
 
     poses: _Clouds
     kinds: tuple[JointKind, ...]
     directions: Directions
-    path: Path
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        """The file for what is found, named after what is searched."""
+        axes = {str(kind): some.tolist() for kind, some in sorted(self.directions.items())}
+        points, normals = self.poses
+        hashed = hashlib.sha256(json.dumps([axes, self.kinds, points.shape]).encode())
+        hashed.update(points.tobytes() + normals.tobytes())
+        return self.folder / f"{hashed.hexdigest()[:32]}.safetensors"
 
 
 def _looked_for(
@@ -116,36 +119,39 @@ def _looked_for(
 ) -> Found:
     """Return what is found in each object; the search is repeated where it finds nothing, or a kind
     of joint that few others have: a drawer that is shallow may as well turn a little."""
+    outcomes: Found = [None] * len(clouds)
 
-    def asked(i: int, kinds: tuple[JointKind, ...]) -> _Asked:
-        path = folder / f"{i}-{'-'.join(map(str, kinds))}.safetensors"
-        return _Asked(clouds[i], kinds, directions, path)
+    def search(objects: Sequence[int], kinds: tuple[JointKind, ...], what: str) -> None:
+        missing = {}
+        for i in objects:
+            task = _Asked(clouds[i], kinds, directions, folder)
+            try:
+                outcomes[i] = _read(read_arrays(task.path, FORMAT)["object"], clouds[i])
+            except InvalidCheckpoint:  # not there, or of a disk that lost power
+                missing[i] = task
+        if not missing:
+            return
+        done = len(objects) - len(missing)
+        with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
+            looks = crew.in_order([*missing.values()])
+            for count, (i, one) in enumerate(zip(missing, looks, strict=True), done + 1):
+                outcomes[i] = one
+                notify(f"{what}: {count} of {len(objects)}")
 
-    discoveries: Found = []
-    with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
-        for one in crew.in_order([asked(i, KINDS) for i in range(len(clouds))]):
-            discoveries.append(one)
-            notify(
-                f"looking for joints in the training objects: {len(discoveries)} of {len(clouds)}"
-            )
-        kinds = kinds_of(discoveries)
-        again = [
+    search(range(len(clouds)), KINDS, "looking for joints in the training objects")
+    kinds = kinds_of(outcomes)
+    if 0 < len(kinds) < len(KINDS):
+        unlike = [
             i
-            for i, one in enumerate(discoveries)
+            for i, one in enumerate(outcomes)
             if not one or {joint.kind for joint in one.joints} - kinds
         ]
-        if 0 < len(kinds) < len(KINDS):
-            looks = crew.in_order([asked(i, tuple(sorted(kinds))) for i in again])
-            for n, (i, one) in enumerate(zip(again, looks, strict=True), 1):
-                discoveries[i] = one
-                notify(f"looking again where they are unlike the others: {n} of {len(again)}")
-    return discoveries
+        search(unlike, tuple(sorted(kinds)), "looking again where they are unlike the others")
+    return outcomes
 
 
 def _look(task: _Asked) -> Discovery | None:
-    """Return what is found in an object, or was found there before this run was killed."""
-    with suppress(InvalidCheckpoint):  # not there, or of a disk that lost power
-        return _read(read_arrays(task.path, FORMAT)["object"], task.poses)
+    """Return what is found in an object, and keep it."""
     points, normals = list(_points(task.poses)), list(task.poses[1] / 127.0)
     outcome = None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
@@ -154,15 +160,6 @@ def _look(task: _Asked) -> Discovery | None:
         outcome = None
     write_arrays(task.path, {"object": _plain(outcome)}, FORMAT)
     return outcome
-
-
-def _digest(clouds: Sequence[_Clouds], directions: Directions) -> str:
-    axes = {str(kind): some.tolist() for kind, some in sorted(directions.items())}
-    hashed = hashlib.sha256(json.dumps(axes).encode())
-    for points, normals in clouds:
-        hashed.update(f"{points.shape}".encode())
-        hashed.update(points.tobytes() + normals.tobytes())
-    return hashed.hexdigest()[:16]
 
 
 def _points(poses: _Clouds) -> NDArray[np.float64]:
