@@ -5,6 +5,7 @@ import shutil
 import signal
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import run
@@ -18,9 +19,9 @@ import articugen as ag
 from articugen.core.errors import ArticugenError, InvalidArgument, MissingExtra
 from articugen.core.ledger import LEDGER, Ledger
 from articugen.core.place import Folder
-from articugen.export.items import file_name
+from articugen.export.items import Options, file_name
 from articugen.export.parts import unique
-from articugen.export.target import REPORT_NAME
+from articugen.export.target import REPORT_NAME, Target, Written
 
 BOXES = {"train": 2, "test": 1}
 
@@ -245,12 +246,12 @@ def test_no_two_texts_share_a_name(texts, again):
     assert len({file_name(text) for text in texts}) == len(texts)
 
 
-def of_names(folder: Path, *names: tuple[str, str]) -> Path:
+def of_names(folder: Path, *names: tuple[str, str], states: Any = ((0.0, 0.0),)) -> Path:
     """A folder of shards with one object each, of a split and an id."""
     folder.mkdir()
     for number, (split, name) in enumerate(names):
         path = folder / f"{split}-{number:05d}.h5"
-        shard(path, hinged_box(object_id=name, states=((0.0, 0.0),)), split=split)
+        shard(path, hinged_box(object_id=name, states=states), split=split)
     return folder
 
 
@@ -290,6 +291,37 @@ def test_instances_that_would_be_called_alike_are_refused(boxes, tmp_path):
     with pytest.raises(InvalidArgument, match="choose instances that are there once"):
         ag.export(ag.open(boxes)[[0, 1, 0]], "ply", out)
     assert not out.exists()
+
+
+def test_processes_write_the_same_files(tmp_path):
+    """An object of five has no canonical pose: it is left out, wherever that is noticed."""
+    names = [("train", name) for name in "abcde"]
+    rows = ag.open(of_names(tmp_path / "data", *names, states=((0.0, 0.0), (0.3, 0.2))))
+    some = rows[[i for i in range(10) if i != 2]]
+    assert rows[2].object_id == "b"
+    alone, together = tmp_path / "alone", tmp_path / "together"
+    notes = []
+    for out, jobs in ((alone, 1), (together, 2)):
+        done = ag.export(
+            some, "glb", out, from_grids=True, jobs=jobs,
+            on_item=lambda n, of, item: notes.append((n, of, item.key)),
+        )  # fmt: skip
+        assert len(done.left_out) == 1
+        assert "b: its canonical pose, state 0, is not in the data" in done.left_out[0]
+    assert files_in(alone) == files_in(together)
+    assert len(list(alone.rglob("*.glb"))) == 4
+    assert notes[:5] == notes[5:] == [(i + 1, 5, f"train/{name}") for i, name in enumerate("abcde")]
+
+
+def test_two_items_with_one_file_are_refused(tmp_path):
+    target = Target(tmp_path / "out", {"format": "ply"}, Options())
+    file = Written("train/a.ply", 3, "00")
+    target.finished("a", [file], None)
+    with pytest.raises(ArticugenError, match=r"a\.ply: two things would be called so; rename an"):
+        target.finished("b", [file], None)
+    with pytest.raises(ArticugenError, match="two things would be called so"):
+        target.write("train/a.ply", b"ply")
+    target.close()
 
 
 def test_names_are_not_given_twice():

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from articugen.cli.options import argument, offered
+from articugen.cli.options import JOBS, argument, offered
 from articugen.cli.saying import REJECTED, counting_bar, say, say_error, stdout
 from articugen.core.tables import quiet_table, size
 from articugen.pipeline.options import option
@@ -44,6 +44,7 @@ def export(
     occupancy: str | None = option(
         None, "Inside is what is: visible or material.", show_default="visible"
     ),
+    jobs: int | None = JOBS,
 ) -> int:
     """Write a data set in a format that others read; called again it goes on."""
     from articugen.export.formats import names
@@ -61,6 +62,7 @@ def export(
             from_grids=from_grids or None,
             collision=collision or None,
             occupancy=occupancy,
+            jobs=jobs,
             on_item=lambda count, items, item: count_item(count, items, item.key),
         )
     for sentence in done.left_out:

@@ -14,7 +14,7 @@ from PIL import Image
 from articugen.core.geometry import invert_rigid
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.pictures.layout import png
 from articugen.store.rows import Row
 
@@ -23,7 +23,7 @@ _MILLI = 1000.0
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     start = canonical(item.rows)
     if not {"image_rgba", "image_depth"} <= set(start.fields) or len(start.images.rgba) < 2:
         raise LeftOut(
@@ -59,7 +59,7 @@ def _write(item: Item, target: Target) -> None:
     target.write_json(f"{folder}/gt/trans.json", _truth(start, end))
 
 
-def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Target) -> None:
+def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Files) -> None:
     """Number the images of these cameras from 0 on; ArtGS's, which have depths, in `rgba`, too."""
     for number, k in enumerate(cameras):
         rgba = png(Image.fromarray(row.images.rgba[k]))

@@ -14,7 +14,7 @@ from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
 from articugen.export.parts import MetricJoint, metric_joints, part_meshes, part_names
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.model_text import obj_text
 from articugen.meshes.painting import Look, looks
@@ -80,7 +80,7 @@ class Body:
     joint: MetricJoint | None
 
 
-def bodies(item: Item, target: Target) -> tuple[Body, ...]:
+def bodies(item: Item, target: Files) -> tuple[Body, ...]:
     """Return the parts of the object whose instances `item` holds, part 0 first."""
     row = canonical(item.rows)
     joints, names = metric_joints(row), part_names(row)
@@ -133,7 +133,7 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
 
 
 def write_meshes(
-    item: Item, target: Target, part: int, body: Body, *, apart: bool = False
+    item: Item, target: Files, part: int, body: Body, *, apart: bool = False
 ) -> tuple[dict[str, Look | None], list[str]]:
     """Write a part's meshes as OBJ files in the folder `meshes`; `apart` is a file a colour, where
     there are several, which are else materials in a file beside it.

@@ -17,11 +17,11 @@ from articugen.core.recipe import LEAST_STEP
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, file_name, of_objects
 from articugen.export.labels import need
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.store.rows import Row
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     if "Shape2Motion" in str(target.folder.resolve()):
         raise InvalidArgument(
             f"{target.folder}: Ditto's loader counts parts otherwise where a path has Shape2Motion "

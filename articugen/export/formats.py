@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from articugen.core import plugins
 from articugen.core.errors import InvalidArgument
 from articugen.export.items import Item, Options
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.store.dataset import DataSet
 
 FORMATS = {
@@ -43,7 +43,7 @@ class Format:
 
     what: str
     items: Callable[[DataSet], Iterator[Item]]
-    write: Callable[[Item, Target], None]
+    write: Callable[[Item, Files], None]
     finish: Callable[[DataSet, Target], None] = lambda data, target: None
     takes: tuple[str, ...] = ()
     needs: tuple[tuple[str, str], ...] = field(default=())

@@ -8,12 +8,12 @@ import numpy as np
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
 from articugen.export.parts import metric_joints, part_meshes
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.painting import looks
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     row = canonical(item.rows)
     moving = {j.part: j for j in metric_joints(row)}
     parts = []

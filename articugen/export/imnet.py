@@ -18,14 +18,14 @@ from articugen.export.formats import Format
 from articugen.export.hdf5 import stack
 from articugen.export.items import Item, file_name, instance_name, of_splits
 from articugen.export.labels import grid, inside, need
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.store.rows import Row
 
 _COARSE, _FINE = 16, 64
 _NEAR, _EACH = 4096, 8192
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     row = item.rows[0]
     name = f"{file_name(row.category)}_{item.key}"
     with target.opened(f"{name}.hdf5") as file:
@@ -33,7 +33,7 @@ def _write(item: Item, target: Target) -> None:
     target.write_lines(f"{name}.txt", map(instance_name, item.rows))
 
 
-def _rows(item: Item, target: Target) -> Iterator[dict[str, NDArray]]:
+def _rows(item: Item, target: Files) -> Iterator[dict[str, NDArray]]:
     for row in item.rows:
         need(row, "uniform", _EACH)
         need(row, "near", _EACH)

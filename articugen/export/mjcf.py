@@ -21,7 +21,7 @@ from articugen.export.assembly import (
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
-from articugen.export.target import Target
+from articugen.export.target import Files
 
 _WORLD = "world"  # MuJoCo's own body, whose name many URDFs give to their first link
 _STOP = "0.01 1"
@@ -38,7 +38,7 @@ _FELT = {
 }  # fmt: skip
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     parts = bodies(item, target)
     names = unique((_WORLD, *(body.name for body in parts)))[1:]
     name = item.key.rpartition("/")[2]

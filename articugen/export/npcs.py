@@ -17,7 +17,7 @@ from articugen.export.hdf5 import packed
 from articugen.export.items import Item, canonical, file_name, of_objects
 from articugen.export.labels import need, seen
 from articugen.export.parts import part_boxes
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
@@ -31,7 +31,7 @@ _FACES = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
 """Of `box_corners`, outwards."""
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     need(item.rows[0], "partial", 1)
     rest, boxes = canonical(item.rows), part_boxes(item.rows)
     place = _place(rest)

@@ -9,11 +9,11 @@ import numpy as np
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name, instance_name, of_instances, validation
 from articugen.export.labels import inside
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.store.dataset import DataSet
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     (row,) = item.rows
     folder = f"{file_name(row.category)}/{instance_name(row)}"
     frame = {"loc": row.center, "scale": np.float64(row.scale)}

@@ -13,13 +13,13 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, file_name, of_objects
 from articugen.export.labels import need, seen
 from articugen.export.parts import part_boxes
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.store.rows import Row
 
 _GREY = 0.5
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     need(item.rows[0], "partial", 1)
     boxes = part_boxes(item.rows)
     for row in item.rows:

@@ -20,7 +20,7 @@ from articugen.core.arrays import Floats
 from articugen.core.schema import Instance
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.pictures.camera import Camera
 from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.layout import gif, in_columns, png
@@ -94,7 +94,7 @@ def _has_surface(data: DataSet) -> bool:
     return data.fields["surface_points"][0] > 1
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     import pyarrow as pa  # noqa: PLC0415 - optional
     from pyarrow import parquet  # noqa: PLC0415
 

@@ -14,13 +14,13 @@ from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.seeding import generator
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, file_name, of_objects
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.store.dataset import DataSet
 
 _CELLS = 16  # along the unit frame: coarse enough that the density of points does not count
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     row = canonical(item.rows)
     name = f"{file_name(row.split)}/{file_name(row.object_id)}.npz"
     groups = [_rest(item.rows, "surface")]

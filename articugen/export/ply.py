@@ -6,7 +6,7 @@ import numpy as np
 from articugen.core.colours import PALETTE
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_instances
-from articugen.export.target import Target
+from articugen.export.target import Files
 
 _PROPERTIES = (
     ("float", "<f4", ("x", "y", "z", "nx", "ny", "nz")),
@@ -14,7 +14,7 @@ _PROPERTIES = (
 )
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     (row,) = item.rows
     kinds = [(name, kind) for _, kind, names in _PROPERTIES for name in names]
     table = np.empty(len(row.surface), kinds)

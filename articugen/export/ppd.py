@@ -14,7 +14,7 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.labels import grid, need, part_values
 from articugen.export.parts import part_meshes
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.meshes.model_text import obj_text
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
@@ -26,7 +26,7 @@ _PRIMITIVES = {"revolute": "rotation", "prismatic": "translation"}
 _TAIL = "sample_wise_normalize"
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     _check(canonical(item.rows))
     meshes = part_meshes(item.rows, target.options)
     for row in item.rows:

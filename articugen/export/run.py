@@ -3,6 +3,7 @@
 import hashlib
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,14 +12,19 @@ from typing import Any
 from articugen.core import schema
 from articugen.core.errors import InvalidArgument, MissingExtra
 from articugen.core.files import sha256_of
+from articugen.core.processes import default_jobs, in_order
 from articugen.export.formats import format_named, options_for
-from articugen.export.items import Item, LeftOut, file_name, instance_name
-from articugen.export.target import Target
+from articugen.export.items import Item, LeftOut, Options, file_name, instance_name
+from articugen.export.target import Files, Target, Written
 from articugen.store import croissant
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 
 Folder = str | os.PathLike[str]
+
+
+FEWEST = 4
+"""Objects for which it is worth starting other processes, which takes seconds."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ def export(
     from_grids: bool | None = None,
     collision: bool | None = None,
     occupancy: str | None = None,
+    jobs: int | None = None,
     on_item: Callable[[int, int, Item], None] = lambda done, items, item: None,
 ) -> Exported:
     """Write a data set in another format, or what is missing of it; one instance is read at a time.
@@ -60,6 +67,7 @@ def export(
         split: the instances of this split alone.
         resolution, from_grids, collision, occupancy: see `items.Options`; only some formats take
             them.
+        jobs: processes that part meshes are made by; all cores by default. The files are the same.
         on_item: called after each item, with the number that are done and that of all.
 
     Raises:
@@ -83,7 +91,7 @@ def export(
     target = Target(Path(out), about, options)
     try:
         if not target.complete:
-            _write(chosen, to, target, on_item)
+            _write(chosen, to, target, jobs or default_jobs(), on_item)
     except BaseException:
         target.withdraw()
         raise
@@ -95,25 +103,37 @@ def export(
 
 
 def _write(
-    data: DataSet, to: str, target: Target, on_item: Callable[[int, int, Item], None]
+    data: DataSet, to: str, target: Target, jobs: int, on_item: Callable[[int, int, Item], None]
 ) -> None:
     wanted = format_named(to)
     items = list(wanted.items(data))
-    for number, item in enumerate(items, 1):
-        if item.key not in target.done:
-            try:
-                wanted.write(item, target)
-            except LeftOut as why:
-                target.finished(item.key, str(why))
-            else:
-                target.finished(item.key)
-        on_item(number, len(items), item)
+    missing = [item for item in items if item.key not in target.done]
+    workers = jobs if len(missing) >= FEWEST and "resolution" in wanted.takes else 0
+    tasks = [(to, target.folder, target.options, item) for item in missing]
+    with closing(
+        in_order(_written, tasks, workers=workers, name=lambda task: task[-1].key)
+    ) as written:
+        for number, item in enumerate(items, 1):
+            if item.key not in target.done:
+                target.finished(item.key, *next(written))
+            on_item(number, len(items), item)
     reasons = [done.left_out for done in target.done.values() if done.left_out]
     if len(reasons) == len(items):
         raise InvalidArgument(f"{to} can hold nothing of {data.path}: {reasons[0]}")
     wanted.finish(data, target)
     _write_croissant(data, to, target)
     target.seal()
+
+
+def _written(task: tuple[str, Path, Options, Item]) -> tuple[list[Written], str | None]:
+    """Return the files of an item, which are written, and why it was left out, if it was."""
+    to, folder, options, item = task
+    files = Files(folder, options)
+    try:
+        format_named(to).write(item, files)
+    except LeftOut as why:
+        return [], str(why)
+    return files.files, None
 
 
 def _digest(data: DataSet) -> str:

@@ -5,7 +5,7 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
@@ -35,6 +35,11 @@ REPORT_NAME = "export.json"
 _MOST_BYTES = 1 << 30
 _DAMAGED = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 """Raised by JSON that is not ours."""
+
+_TWICE = (
+    "{}: two things would be called so; rename an object or a split, or export the splits one by "
+    "one"
+)
 
 
 @dataclass(frozen=True)
@@ -74,12 +79,71 @@ def npz(arrays: Mapping[str, ArrayLike], *, compressed: bool = False) -> bytes:
     return data.getvalue()
 
 
-class Target:
-    """A folder that one export, and no other, writes to.
+class Files:
+    """Files that are written to the folder of an export, each whole.
 
     Attributes:
         folder: where it is.
         options: what was chosen.
+        files: those that are written.
+    """
+
+    def __init__(self, folder: Path, options: Options) -> None:
+        self.folder, self.options = folder, options
+        self.files: list[Written] = []
+        self._names: set[str] = set()
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a file of the item; `name` is from the folder on, with slashes."""
+        path = self._path(name)
+        write_atomically(path, data)
+        self.files.append(Written(name, len(data), hashlib.sha256(data).hexdigest()))
+
+    def write_arrays(self, name: str, arrays: Mapping[str, ArrayLike]) -> None:
+        """Write an .npz of arrays, the same bytes for the same arrays."""
+        self.write(name, npz(arrays))
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Write a JSON file, indented."""
+        self.write(name, json.dumps(value, indent=1).encode() + b"\n")
+
+    def write_lines(self, name: str, lines: Iterable[str]) -> None:
+        """Write a text file of lines."""
+        self.write(name, "".join(f"{line}\n" for line in lines).encode())
+
+    @contextmanager
+    def opened(self, name: str) -> Iterator[BinaryIO]:
+        """Yield a file of the item, to write and read, for data larger than one
+        instance."""
+        path = self._path(name)
+        with written_atomically(path) as file:
+            yield file
+        self.files.append(Written(name, path.stat().st_size, sha256_of(path)))
+
+    def _path(self, name: str) -> Path:
+        """Return the path of a file in the folder: through no link, in place of no other file."""
+        try:
+            path = within(self.folder, name)
+            make_folder(path.parent)
+        except UnfitFile as error:
+            raise ArticugenError(f"{self.folder}: not written: {error.strerror}") from None
+        except OSError as error:
+            raise MachineFault(cannot_write(self.folder / name, error)) from error
+        if name.split("/", maxsplit=1)[0] in (REPORT_NAME, LEDGER):
+            raise ArticugenError(_TWICE.format(path))
+        self._claim(name)
+        return path
+
+    def _claim(self, name: str) -> None:
+        if name in self._names:
+            raise ArticugenError(_TWICE.format(self.folder / name))
+        self._names.add(name)
+
+
+class Target(Files):
+    """A folder that one export, and no other, writes to.
+
+    Attributes:
         done: by the item's key.
     """
 
@@ -93,12 +157,10 @@ class Target:
             ArticugenError: it holds something else, or another process exports into it.
             MachineFault: it cannot be written to.
         """
-        self.folder, self.options = folder, options
+        super().__init__(folder, options)
         self.done: dict[str, Done] = {}
         self.complete = False
         self._about = {**about, "options": asdict(options)}
-        self._files: list[Written] = []
-        self._names: set[str] = set()
         self._is_new = not folder.exists()
         self._ledger = Ledger(Folder(folder))
         self._lock: int | None = lock_folder(folder)
@@ -179,63 +241,20 @@ class Target:
                 if self._is_new:
                     self.folder.rmdir()
 
-    def write(self, name: str, data: bytes) -> None:
-        """Write a file of the current item; `name` is from the folder on, with slashes."""
-        path = self._path(name)
-        write_atomically(path, data)
-        self._files.append(Written(name, len(data), hashlib.sha256(data).hexdigest()))
-
-    def write_arrays(self, name: str, arrays: Mapping[str, ArrayLike]) -> None:
-        """Write an .npz of arrays, the same bytes for the same arrays."""
-        self.write(name, npz(arrays))
-
-    def write_json(self, name: str, value: Any) -> None:
-        """Write a JSON file, indented."""
-        self.write(name, json.dumps(value, indent=1).encode() + b"\n")
-
-    def write_lines(self, name: str, lines: Iterable[str]) -> None:
-        """Write a text file of lines."""
-        self.write(name, "".join(f"{line}\n" for line in lines).encode())
-
-    @contextmanager
-    def opened(self, name: str) -> Iterator[BinaryIO]:
-        """Yield a file of the current item, to write and read, for data larger than one
-        instance."""
-        path = self._path(name)
-        with written_atomically(path) as file:
-            yield file
-        self._files.append(Written(name, path.stat().st_size, sha256_of(path)))
-
-    def _path(self, name: str) -> Path:
-        """Return the path of a file in the folder: through no link, in place of no other file."""
-        try:
-            path = within(self.folder, name)
-            make_folder(path.parent)
-        except UnfitFile as error:
-            raise ArticugenError(f"{self.folder}: not written: {error.strerror}") from None
-        except OSError as error:
-            raise MachineFault(cannot_write(self.folder / name, error)) from error
-        if name in self._names or name.split("/", maxsplit=1)[0] in (REPORT_NAME, LEDGER):
-            raise ArticugenError(
-                f"{path}: two things would be called so; rename an object or a split, or export "
-                "the splits one by one"
-            )
-        self._names.add(name)
-        return path
-
-    def finished(self, item: str, left_out: str | None = None) -> None:
-        """Note that an item is done: with the files written since the last one."""
-        files = () if left_out else tuple(self._files)
-        self._files = []
-        self.done[item] = Done(files, left_out)
+    def finished(self, item: str, files: Sequence[Written], left_out: str | None) -> None:
+        """Note that an item is done, with its files; ArticugenError if another one has such a
+        file."""
+        for file in files:
+            self._claim(file.name)
+        self.done[item] = Done(tuple(files), left_out)
         record = {"files": [asdict(file) for file in files], "left_out": left_out}
         self._ledger.record(item, json.dumps(record).encode())
 
     @property
     def written(self) -> list[Written]:
-        """The files of all items that are done, and those written since, by name."""
+        """The files of all items that are done, and those of none, by name."""
         files = [file for done in self.done.values() for file in done.files]
-        return sorted({f.name: f for f in [*files, *self._files]}.values(), key=lambda f: f.name)
+        return sorted({f.name: f for f in [*files, *self.files]}.values(), key=lambda f: f.name)
 
     def seal(self) -> None:
         """Write the report, after which the export counts as complete."""

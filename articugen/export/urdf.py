@@ -7,12 +7,12 @@ import numpy as np
 from articugen.export.assembly import Body, bodies, numbers, resistance, write_meshes
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.target import Target
+from articugen.export.target import Files
 
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     parts = bodies(item, target)
     robot = ET.Element("robot", name=item.key.rpartition("/")[2])
     for part, body in enumerate(parts):

@@ -17,7 +17,7 @@ from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import unique
-from articugen.export.target import Target
+from articugen.export.target import Files
 from articugen.meshes.painting import Look, looks
 from articugen.pictures.layout import png
 from articugen.pictures.portrait import parts_portrait
@@ -36,7 +36,7 @@ def _pxr(*names: str) -> list[Any]:
     return [import_module(f"pxr.{name}") for name in names]
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     name = item.key.rpartition("/")[2]
     file = f"{name}.usdc"  # alone in a folder of the object's own: SimReady's NP.005
     with tempfile.TemporaryDirectory() as aside:  # a stage has no other way to bytes

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, file_name, instance_name, of_instances
-from articugen.export.target import Target
+from articugen.export.target import Files, Target
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, RowQueries, RowSurface
 
@@ -21,7 +21,7 @@ _NEAR, _FAR, _EDGES = 400_000, 10_000, 21_384
 are, and draws 10,000 of them, 10,000 of the others and 21,384 of those near edges, none twice."""
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     (row,) = item.rows
     missing = [name for name in _FIELDS if name not in row.fields]
     if missing:

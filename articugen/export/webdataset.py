@@ -13,7 +13,7 @@ import numpy as np
 from articugen.core import schema
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name, instance_name
-from articugen.export.target import Target, npz
+from articugen.export.target import Files, npz
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row, in_units, is_scaled
 
@@ -27,7 +27,7 @@ def _items(data: DataSet) -> Iterator[Item]:
             yield Item(f"{file_name(split)}-{number:06d}", rows[first : first + _PER_FILE])
 
 
-def _write(item: Item, target: Target) -> None:
+def _write(item: Item, target: Files) -> None:
     with (
         target.opened(f"{item.key}.tar") as file,
         tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as tar,
