@@ -18,13 +18,7 @@ from articugen.learning.ppd.network import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm import found as found_module
-from articugen.learning.ppd.warm.found import (
-    _Asked,
-    _look,
-    _looked_for,
-    discovered,
-    kinds_of,
-)
+from articugen.learning.ppd.warm.found import _Asked, _look, _looked_for, discovered, kinds_of
 from articugen.learning.ppd.warm.targets import (
     _from_closed,
     _owned,

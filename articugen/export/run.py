@@ -22,7 +22,6 @@ from articugen.store.dataset import open as open_data_set
 
 Folder = str | os.PathLike[str]
 
-
 FEWEST = 4
 """Objects for which it is worth starting other processes, which takes seconds."""
 

@@ -113,15 +113,15 @@ class Files:
 
     @contextmanager
     def opened(self, name: str) -> Iterator[BinaryIO]:
-        """Yield a file of the item, to write and read, for data larger than one
-        instance."""
+        """Yield a file of the item, to write and read, for data larger than one instance."""
         path = self._path(name)
         with written_atomically(path) as file:
             yield file
         self.files.append(Written(name, path.stat().st_size, sha256_of(path)))
 
     def _path(self, name: str) -> Path:
-        """Return the path of a file in the folder: through no link, in place of no other file."""
+        """Return the path of a file in the folder: through no link, in place of no other file of
+        the item; `Target.finished` compares items."""
         try:
             path = within(self.folder, name)
             make_folder(path.parent)
