@@ -259,7 +259,8 @@ def evaluate(
         on: the other data set; whatever the split, its objects are tested. The training objects
             of `data` vote for labels in either case.
         finer: the same on a finer grid, for a `finer_label_iou` by the same votes: the paper names
-            a grid for F-score and Chamfer-L1, but none for labels.
+            a grid for F-score and Chamfer-L1, but none for labels. Parts that are finer than their
+            grid are not made again.
         measures: what is measured, by which rules.
 
     Raises:
@@ -275,10 +276,9 @@ def evaluate(
             tally.at(instance)
             tally.measure(instance, predicted, first)
             first = first or (instance, predicted)
-        if finer and first and first[1].whole is not None:
-            for instance in instances:
-                tally.at(instance)
-                tally.add_label_iou(*nearest_parts(instance, finer(instance), protocol), "finer_")
+            if finer and predicted.whole is not None:
+                fine = predicted if predicted.is_finer else finer(instance)
+                tally.add_label_iou(*nearest_parts(instance, fine, protocol), "finer_")
         on_object(instances[0].object_id)
     return tally.evaluation()
 

@@ -46,6 +46,7 @@ class Reconstruction:
         T_part: (P, 4, 4) the rigid transform of each part from a rest frame that is the same in
             every pose, nan of a part that has none; None of a method that knows no motion.
         joints: None of a method that knows none.
+        is_finer: whether the surfaces of parts are drawn finer than the grid that was asked for.
     """
 
     triangles: Floats
@@ -55,6 +56,7 @@ class Reconstruction:
     parts: int
     T_part: Floats | None = None
     joints: PartJoints | None = None
+    is_finer: bool = False
 
     def motion_to(self, posed: "Reconstruction") -> Floats | None:
         """Return how parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4). What has no

@@ -58,6 +58,7 @@ def reconstruction_of(
     meshes: Meshes | None = None,
     looked_for: Callable[[], Floats] | None = None,
     dense: int = DENSE,
+    whole: Callable[[int], Floats] | None = None,
     T_part: Floats | None = None,
     joints: PartJoints | None = None,
 ) -> Reconstruction:
@@ -67,18 +68,30 @@ def reconstruction_of(
         parts: how many fields there are.
         meshes: what makes the surfaces; `meshes_of_greatest` if not given.
         looked_for, dense: see `fields_near_surfaces`.
+        whole: gives (R, R, R), above 0 inside of the object, if that is known better: fields then
+            decide whose each place in there is, and no more. The parts' surfaces are drawn on a
+            grid of `DENSE`^3 at least, since thin things fall between the samples of a coarser
+            one. The surface of the whole is drawn on the grid that was asked for.
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
-    there, grids = fields_near_surfaces(fields, resolution, dense, looked_for)
-    surfaces, whole = (meshes or meshes_of_greatest)(grids)
+    drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
+    there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
+    if whole:
+        grids += whole(drawn) - grids.max(0)
+    surfaces, outline = meshes(grids)
+    inside = grids.max(0)
+    if drawn != resolution and whole:
+        inside = whole(resolution)
+        outline = meshes(inside[None])[1]
     return Reconstruction(
         triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
         part=np.repeat(there, [len(s) for s in surfaces]),
-        whole=whole,
-        occupied=grids.max(0) > 0.0,
+        whole=outline,
+        occupied=inside > 0.0,
         parts=parts,
         T_part=T_part,
         joints=joints,
+        is_finer=drawn > resolution,
     )
 
 
@@ -91,6 +104,7 @@ def reconstruction_of_surfaces(surfaces: Sequence[Floats], inside: Floats) -> Re
         whole=zero_level(inside).triangles,
         occupied=inside > 0.0,
         parts=len(surfaces),
+        is_finer=True,
     )
 
 
@@ -136,7 +150,7 @@ def fields_near_surfaces(
     parts, coarse = fields_near_surfaces(fields, resolution // 2, dense, looked_for)
     there = _somewhere_above(0.0, coarse)
     parts, coarse = parts[there], coarse[there]
-    fine, cells = _doubled(coarse), np.flatnonzero(_doubled(_beside_surfaces(coarse)[None]))
+    fine, cells = doubled(coarse), np.flatnonzero(doubled(beside_surfaces(coarse)[None]))
     if not len(cells):
         return parts, fine
     centres = voxel_centres(torch.from_numpy(cells), resolution)
@@ -167,7 +181,7 @@ def _somewhere_above(level: float, logits: Floats) -> NDArray[np.bool_]:
     return there
 
 
-def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
+def doubled(grids: NDArray[Any]) -> NDArray[Any]:
     """Return grids (P, R, R, R) with each voxel as eight."""
     P, R = grids.shape[:2]
     fine = np.empty((P, R, 2, R, 2, R, 2), grids.dtype)
@@ -175,7 +189,7 @@ def _doubled(grids: NDArray[Any]) -> NDArray[Any]:
     return fine.reshape(P, 2 * R, 2 * R, 2 * R)
 
 
-def _beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
+def beside_surfaces(logits: Floats) -> NDArray[np.bool_]:
     """Return (R, R, R), whether any voxel around, corners included, is of another part or none."""
     owner = np.pad(np.where(logits.max(0) > 0.0, logits.argmax(0), -1), 1, mode="edge")
     least = most = owner

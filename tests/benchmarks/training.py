@@ -31,6 +31,7 @@ from articugen.learning.blocks import Descent
 from articugen.learning.data.split import PackedSplit
 from articugen.learning.method import load_recipe
 from articugen.learning.ppd import objective
+from articugen.learning.ppd.local import LocalLearning
 from articugen.learning.ppd.network import PPD
 from articugen.learning.recipe import TrainRecipe
 from articugen.store.provenance import this_commit, this_machine
@@ -39,7 +40,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from instances import SMALL
 from ppd_data import write_boxes
 
-STAGES = ("data", "forward", "losses", "backward", "optimiser", "discriminator", "other")
+STAGES = ("data", "forward", "losses", "backward", "optimiser", "discriminator", "local", "other")
 WARM_UP = 2
 """Iterations that count for nothing."""
 
@@ -145,7 +146,8 @@ def _clocked(
 
 @contextmanager
 def _timed(wait: Callable[[], None], clock: Callable[[], float]) -> Iterator[dict[str, float]]:
-    """Seconds of each stage without those it calls; what the discriminator's calls is its own."""
+    """Seconds of each stage without those it calls; what the discriminator and the local field
+    call is theirs."""
     spent: dict[str, float] = {}
     running, since = ["other"], [clock()]
 
@@ -158,7 +160,7 @@ def _timed(wait: Callable[[], None], clock: Callable[[], float]) -> Iterator[dic
     def within(stage: Callable[..., str], function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
             turn()
-            inner = stage(*args) if running[-1] != "discriminator" else "discriminator"
+            inner = running[-1] if running[-1] in ("discriminator", "local") else stage(*args)
             running.append(inner)
             try:
                 return function(*args, **kwargs)
@@ -183,6 +185,7 @@ def _timed(wait: Callable[[], None], clock: Callable[[], float]) -> Iterator[dic
         (objective, "random_pose", of("discriminator")),
         (objective, "discriminator_terms", of("discriminator")),
         (Descent, "step", of_descent),
+        (LocalLearning, "learn", of("local")),
         (torch.Tensor, "backward", of("backward")),
     ]
     with ExitStack() as patches:

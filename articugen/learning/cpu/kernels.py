@@ -1,5 +1,5 @@
-"""What learners ask of a CPU in one pass: where the greatest values are, and the patches of a grid
-that clouds fill, hardly a tenth of which hold anything."""
+"""What learners ask of a CPU in one pass: where the greatest values are, the patches of a grid that
+clouds fill, hardly a tenth of which hold anything, and the points nearest to places."""
 
 import numpy as np
 
@@ -77,3 +77,29 @@ def patches(clouds, cells, along):
                 share *= dz if w else np.float32(1.0) - dz
                 values[row[patch], inside] += share
     return filled[:count].copy(), values
+
+
+@kernel
+def nearest_of_firsts(clouds, places, firsts, out):
+    """out (B, m, s, k): which points of clouds (B, n, 3) are the k nearest to places (B, m, 3), the
+    nearest first, among the first `firsts` (s,) of them, ascending numbers; single precision."""
+    B, m, s, k = out.shape
+    far, at = np.empty(k, np.float32), np.zeros(k, np.int64)
+    for b in range(B):
+        for i in range(m):
+            far[:] = np.inf
+            x, y, z = places[b, i, 0], places[b, i, 1], places[b, i, 2]
+            j = 0
+            for scale in range(s):
+                while j < firsts[scale]:
+                    u, v, w = clouds[b, j, 0] - x, clouds[b, j, 1] - y, clouds[b, j, 2] - z
+                    here = u * u + v * v + w * w
+                    if here < far[k - 1]:
+                        place = k - 1
+                        while place > 0 and far[place - 1] > here:
+                            far[place], at[place] = far[place - 1], at[place - 1]
+                            place -= 1
+                        far[place], at[place] = here, j
+                    j += 1
+                for place in range(k):
+                    out[b, i, scale, place] = at[place]

@@ -22,6 +22,7 @@ from articugen.learning.fields import VALIDATION_GRID, Meshes, held_out_fit
 from articugen.learning.method import Learner, Terms
 from articugen.learning.ppd import objective
 from articugen.learning.ppd.discriminator import Discriminator
+from articugen.learning.ppd.local import LocalLearning, Outline
 from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
@@ -43,32 +44,40 @@ class Predictor(Learner):
     Attributes:
         points: how many points of a cloud are examined; None means all.
         residual_direction: whether r^z counts.
+        local: what says where matter is, if the recipe has it; None leaves that to the parts.
     """
 
     model: PPD
     points: int | None
     residual_direction: bool
+    local: LocalLearning | None = None
 
     @property
     def parameters(self) -> int:
         """Number of values that describe shapes, as the paper counts; those of poses are left
         out."""
-        of_shapes = (self.model.encoder, self.model.shape)
+        of_shapes = [self.model.encoder, self.model.shape]
+        of_shapes += [self.local.field] if self.local else []
         return sum(p.numel() for module in of_shapes for p in module.parameters())
 
     def predict(self, cloud: Floats) -> Prediction:
         """Predict from one cloud (n, 3), as a batch of one."""
-        device = next(self.model.parameters()).device
-        clouds = torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)[None]
         with torch.no_grad():
+            clouds = self._seen(cloud)[None]
             return self.model(clouds, residual_direction=self.residual_direction)
 
     def reconstruct(
         self, cloud: Floats, *, resolution: int, meshes: Meshes | None = None
     ) -> Reconstruction:
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
-        `meshes` says otherwise."""
-        return reconstruction_of(self.model, self.predict(cloud), resolution, meshes)
+        `meshes` says otherwise; what is inside of any a local field decides, if there is one."""
+        whole = Outline(self.local.field, self._seen(cloud)).on_grid if self.local else None
+        return reconstruction_of(self.model, self.predict(cloud), resolution, meshes, whole=whole)
+
+    def _seen(self, cloud: Floats) -> Tensor:
+        """Return what is examined of a cloud (n, 3)."""
+        device = next(self.model.parameters()).device
+        return torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)
 
     def between(
         self, one: Floats, other: Floats, steps: int, *, resolution: int
@@ -106,6 +115,8 @@ class PPDLearner(Predictor):
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
+            few = settings.model.local_points
+            self.local = LocalLearning(few, device) if few else None
         self.model.to(device)
         self.discriminator.to(device)
         self.mirrors = settings.vary.mirror
@@ -125,6 +136,8 @@ class PPDLearner(Predictor):
         optimiser = self.settings.schedule.optimiser
         self.descent = Descent(self.model, optimiser)
         self.discriminator_descent = Descent(self.discriminator, optimiser)
+        if self.local:
+            self.local.begin_stage()
 
     def begin(
         self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
@@ -205,11 +218,15 @@ class PPDLearner(Predictor):
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
+        if self.local:
+            judged |= self.local.learn(batch, iteration, rate)
         return terms | judged
 
     def check(self) -> None:
         self.discriminator_descent.check()
         self.descent.check()
+        if self.local:
+            self.local.descent.check()
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return how well held-out objects are reconstructed, and how well their motions are
@@ -227,6 +244,7 @@ class PPDLearner(Predictor):
             "discriminator": self.discriminator.state_dict(),
             "adam": self.descent.state(),
             "discriminator_adam": self.discriminator_descent.state(),
+            **(self.local.state() if self.local else {}),
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -235,6 +253,8 @@ class PPDLearner(Predictor):
         self.discriminator.load_state_dict(state["discriminator"])
         self.descent.load(state["adam"])
         self.discriminator_descent.load(state["discriminator_adam"])
+        if self.local:
+            self.local.load(state)
 
 
 def validation(

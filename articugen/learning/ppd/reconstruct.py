@@ -1,5 +1,6 @@
 """What a trained model says of one cloud: part surfaces, joints, and how parts moved."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -39,11 +40,12 @@ def reconstruction_of(
     meshes: Meshes | None = None,
     *,
     dense: int = fields.DENSE,
+    whole: Callable[[int], Floats] | None = None,
 ) -> Reconstruction:
     """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3.
 
     Args:
-        meshes, dense: as `fields.reconstruction_of`.
+        meshes, dense, whole: as `fields.reconstruction_of`.
     """
     settings, pose, shape = model.settings, predicted.pose, predicted.shape
     R, J = len(settings.revolute), settings.joints
@@ -59,6 +61,7 @@ def reconstruction_of(
         meshes=meshes,
         looked_for=partial(_in_boxes, model, shape, shape.box) if shape.box else None,
         dense=dense,
+        whole=whole,
         T_part=invert_rigid(T_inverse),
         joints=PartJoints(
             kind=np.array(

@@ -41,6 +41,9 @@ class ModelSettings(Section):
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
         encoder: `points`, the paper's PointNet; or `both`, that and one which sees how full the
             cells of a grid are, and so which ones lie side by side.
+        local_points: number of query points of each sample at which a field learns where matter
+            is from the points of the cloud around, apart from all else (`ppd.local`); parts then
+            decide whose it is. 0 is no such field; the paper has none.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -52,6 +55,7 @@ class ModelSettings(Section):
     part_boxes: bool = False
     latent_start: Literal["release", "he"] = "release"
     encoder: Literal["points", "both"] = "points"
+    local_points: int = Field(default=0, ge=0)
 
     @model_validator(mode="after")
     def _fits_together(self) -> "ModelSettings":

@@ -1,0 +1,162 @@
+"""Where matter is, from the points of the cloud around each place; the paper does not have it.
+
+A part's own field knows its shape by six numbers of a box and a code, which leaves outlines melted.
+This one sees the cloud itself: for each place the nearest points of all, of the first eighth and
+of the first 32, so that few neighbours show what is near and what is far (POCO, Boulch and Marlet
+2022, has one scale). It decides what is inside of the object, and the parts whose that is.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from articugen.core.records import Floats
+from articugen.discovery.clouds import widened
+from articugen.learning.blocks import Descent
+from articugen.learning.cpu.batches import gather_points, spares, takes_kernels
+from articugen.learning.cpu.kernels import nearest_of_firsts
+from articugen.learning.data.batch import Batch
+from articugen.learning.data.cells import voxel_centres
+from articugen.learning.fields import beside_surfaces, doubled, grid_centres
+from articugen.learning.method import Terms
+
+NEIGHBOURS = 12
+FEWEST, EIGHTH = 32, 8
+SCALES = (0.25, 0.1, 0.04)
+"""Lengths by which offsets to neighbours are divided: of the coarsest cloud first."""
+
+_WIDTH, _HEAD = 32, 128
+_COARSEST = 8  # the grid that is evaluated everywhere
+_BLOCK = 512  # places at a time, whose activations stay in the cache
+
+
+class LocalField(nn.Module):
+    """Field of the whole object, above 0 inside, at places (B, m, 3) beside clouds (B, n, 3)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.near = nn.ModuleList([_neighbour_layers() for _ in SCALES])
+        self.weight = nn.ModuleList([nn.Linear(_WIDTH, 1) for _ in SCALES])
+        self.head = nn.Sequential(
+            nn.Linear(3 + 2 * _WIDTH * len(SCALES), _HEAD), nn.ReLU(),
+            nn.Linear(_HEAD, _HEAD), nn.ReLU(), nn.Linear(_HEAD, 1),
+        )  # fmt: skip
+
+    def forward(self, cloud: Tensor, places: Tensor) -> Tensor:
+        """Return (B, m)."""
+        B, m, _ = places.shape
+        near = nearest_points(cloud, places)
+        at = (2.0 * places).reshape(B * m, 3)
+        features = [at]
+        for some, scale, layers, weight in zip(
+            near.unbind(2), SCALES, self.near, self.weight, strict=True
+        ):
+            points = gather_points(cloud, some.flatten(1)).view(B, m, NEIGHBOURS, 3)
+            offset = ((points - places[:, :, None]) / scale).reshape(B * m, NEIGHBOURS, 3)
+            far = torch.linalg.vector_norm(offset, dim=2, keepdim=True)
+            where = at[:, None].expand(-1, NEIGHBOURS, -1)
+            around = layers(torch.cat([offset, far, where], 2))
+            pooled = (around * weight(around).softmax(1)).sum(1)
+            features += [around.amax(1), pooled]
+        return self.head(torch.cat(features, 1)).view(B, m)
+
+
+class LocalLearning:
+    """A local field, and where its optimiser stands.
+
+    Args:
+        points: how many query points of a sample are learned from in an iteration.
+    """
+
+    def __init__(self, points: int, device: torch.device) -> None:
+        self.points, self.field = points, LocalField().to(device)
+
+    def begin_stage(self) -> None:
+        """Make a new optimiser."""
+        self.descent = Descent(self.field)
+
+    def learn(self, batch: Batch, iteration: int, rate: float) -> Terms:
+        """Return the cross-entropy at some of the batch's query points, others in each iteration,
+        which one step was made to lower."""
+        every = max(batch.points.shape[1] // self.points, 1)
+        some = slice(iteration % every, None, every)
+
+        def differ() -> Terms:
+            logits = self.field(batch.cloud, batch.points[:, some])
+            wanted = batch.occupied[:, some].to(logits)
+            return {"local": binary_cross_entropy_with_logits(logits, wanted)}
+
+        terms = differ()
+        self.descent.step(terms, differ, iteration, rate)
+        return terms
+
+    def state(self) -> dict[str, Any]:
+        return {"local": self.field.state_dict(), "local_adam": self.descent.state()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.field.load_state_dict(state["local"])
+        self.descent.load(state["local_adam"])
+
+
+class Outline:
+    """Grids of where the matter of one cloud (n, 3) is, each evaluated once.
+
+    Grids finer than `_COARSEST` are evaluated at the voxels that are near points or beside the
+    surface; others have their value of the grid half as fine.
+    """
+
+    def __init__(self, field: LocalField, cloud: Tensor) -> None:
+        self.field, self.cloud = field, cloud
+        self.on_grid = cache(self._on_grid)
+
+    def _on_grid(self, resolution: int) -> Floats:
+        """Return (R, R, R), the field at voxel centres."""
+        R = resolution
+        if R <= _COARSEST or R % 2:
+            return self._at(grid_centres(R)).reshape(R, R, R)
+        grid = doubled(self.on_grid(R // 2)[None])[0]
+        there = np.flatnonzero(_near_points(self.cloud, R) | beside_surfaces(grid[None]))
+        grid.reshape(-1)[there] = self._at(voxel_centres(torch.from_numpy(there), R))
+        return grid
+
+    @torch.no_grad()
+    def _at(self, places: Tensor) -> Floats:
+        """Return (m,), the field at places (m, 3)."""
+        blocks = places.to(self.cloud).split(_BLOCK if spares(places) else 64 * _BLOCK)
+        some = [self.field(self.cloud[None], block[None])[0] for block in blocks]
+        return torch.cat(some).double().cpu().numpy()
+
+
+def nearest_points(cloud: Tensor, places: Tensor) -> Tensor:
+    """Return (B, m, 3, NEIGHBOURS) the points of clouds (B, n, 3) that are nearest to places (B, m,
+    3): of the first `FEWEST`, of the first eighth, and of all."""
+    n = cloud.shape[1]
+    firsts = min(FEWEST, n), max(n // EIGHTH, min(FEWEST, n)), n
+    if takes_kernels(cloud):
+        out = torch.empty(*places.shape[:2], len(firsts), NEIGHBOURS, dtype=torch.int64)
+        clouds, at = cloud.contiguous().numpy(), places.contiguous().numpy()
+        nearest_of_firsts(clouds, at, np.array(firsts), out.numpy())
+        return out
+    far = torch.cdist(places, cloud)
+    some = [far[..., :first].topk(NEIGHBOURS, largest=False).indices for first in firsts]
+    return torch.stack(some, 2)
+
+
+def _neighbour_layers() -> nn.Sequential:
+    W = _WIDTH
+    layers = [nn.Linear(7, W), nn.ReLU(), nn.Linear(W, W), nn.ReLU(), nn.Linear(W, W)]
+    return nn.Sequential(*layers)
+
+
+def _near_points(cloud: Tensor, resolution: int) -> NDArray[np.bool_]:
+    """Return (R, R, R), which voxels hold a point, or touch one that does."""
+    R = resolution
+    there = np.zeros((R, R, R), bool)
+    x, y, z = ((cloud.cpu().numpy() + 0.5) * R).astype(int).clip(0, R - 1).T
+    there[x, y, z] = True
+    return widened(there, 1, (0, 1, 2))

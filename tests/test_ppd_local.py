@@ -1,0 +1,135 @@
+"""The field of the whole object, from the points around each place, beside naive readings of it."""
+
+import numpy as np
+import pytest
+import torch
+from digests import resumed_exactly
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from learners import tiny
+
+from articugen.learning.fields import grid_centres, reconstruction_of
+from articugen.learning.loop import Training, train
+from articugen.learning.ppd import local
+from articugen.learning.ppd.local import LocalField, Outline, nearest_points
+
+COORDINATES = st.floats(-0.5, 0.5, width=32).map(lambda x: round(x, 3))
+
+
+def clouds(least, most):
+    return hnp.arrays(np.float32, st.tuples(st.just(2), st.integers(least, most), st.just(3)),
+                      elements=COORDINATES)  # fmt: skip
+
+
+from articugen.meshes.marching_cubes import zero_level
+
+TINY = tiny(
+    {"surface_points": 400, "uniform_points": 60, "near_points": 60, "grid_points": 0}, (8, 40),
+    batch=4, learning_rate=2e-3,
+)  # fmt: skip
+LOCAL = TINY.model_copy(update={"model": TINY.model.model_copy(update={"local_points": 40})})
+
+
+@given(clouds(16, 300), clouds(1, 4))
+def test_neighbours_are_the_nearest_of_the_first_points(cloud, places):
+    n = cloud.shape[1]
+    near = nearest_points(torch.tensor(cloud), torch.tensor(places)).numpy()
+    firsts = min(32, n), max(n // 8, min(32, n)), n
+    for b, m, scale in np.ndindex(*near.shape[:3]):
+        far = np.linalg.norm(cloud[b].astype(float) - places[b, m], axis=1)
+        mine = near[b, m, scale]
+        assert len(set(mine.tolist())) == local.NEIGHBOURS
+        assert mine.max() < firsts[scale]
+        nearest = np.sort(far[: firsts[scale]])[: local.NEIGHBOURS]
+        np.testing.assert_allclose(far[mine], nearest, atol=1e-6)
+
+
+def test_a_gpu_finds_the_same_neighbours():
+    cloud, places = torch.rand(2, 500, 3), torch.rand(2, 40, 3)
+    plain = nearest_points(cloud.double(), places.double())  # no kernel takes doubles
+    assert torch.equal(nearest_points(cloud, places), plain)
+
+
+def layers(x, parts):
+    """What a few linear layers with max(x, 0) between them make of (n, c)."""
+    linear = [(p.weight.numpy(), p.bias.numpy()) for p in parts if isinstance(p, torch.nn.Linear)]
+    for i, (W, b) in enumerate(linear):
+        x = x @ W.T + b
+        x = np.maximum(x, 0.0) if i < len(linear) - 1 else x
+    return x
+
+
+@torch.no_grad()
+def test_the_field_read_literally():
+    torch.manual_seed(2)
+    field = LocalField().double()
+    cloud, places = torch.rand(2, 80, 3).double() - 0.5, torch.rand(2, 5, 3).double() - 0.5
+    actual = field(cloud, places).numpy()
+    near = nearest_points(cloud, places).numpy()
+    for b, m in np.ndindex(2, 5):
+        x = places[b, m].numpy()
+        features = [2.0 * x]
+        for i, scale in enumerate((0.25, 0.1, 0.04)):
+            offset = (cloud[b].numpy()[near[b, m, i]] - x) / scale
+            far = np.linalg.norm(offset, axis=1)[:, None]
+            around = layers(np.hstack([offset, far, np.tile(2.0 * x, (12, 1))]), field.near[i])
+            weight = np.exp(layers(around, [field.weight[i]]))
+            features += [around.max(0), (around * weight / weight.sum()).sum(0)]
+        expected = layers(np.concatenate(features)[None], field.head)[0, 0]
+        assert actual[b, m] == pytest.approx(expected, abs=1e-9)
+
+
+@torch.no_grad()
+def test_a_fine_grid_is_evaluated_near_points_and_beside_the_surface():
+    torch.manual_seed(3)
+    field, cloud = LocalField(), 0.2 * torch.rand(60, 3)
+
+    def everywhere(resolution):
+        return field(cloud[None], grid_centres(resolution)[None])[0].double().numpy()
+
+    field.head[-1].bias -= np.median(everywhere(8))  # half of it inside
+    outline = Outline(field, cloud)
+    np.testing.assert_allclose(outline.on_grid(8).reshape(-1), everywhere(8), atol=1e-5)
+    for R in (16, 32):
+        grid = outline.on_grid(R).reshape(-1)
+        coarser = np.kron(outline.on_grid(R // 2), np.ones((2, 2, 2))).reshape(-1)
+        fine = np.isclose(grid, everywhere(R), atol=1e-5)
+        assert (fine | (grid == coarser)).all()
+        away = (grid_centres(R)[:, None] - cloud).abs().amax(2).amin(1).numpy()
+        assert fine[away < 1 / R].all()
+        assert 0.05 < fine.mean() < 0.95
+
+
+class Sides:
+    """The fields of two half-spaces, and of a part that is below both."""
+
+    def __call__(self, points, parts=slice(None)):
+        x = points.double().numpy()[:, 0]
+        return 5.0 * np.stack([x - 0.1, 0.1 - x, -abs(x - 0.1) - 1.0])[parts]
+
+
+def test_parts_share_what_lies_in_the_whole():
+    """A ball, of which two half-spaces take their sides, and the third part none."""
+
+    def ball(resolution):
+        away = grid_centres(resolution).norm(dim=1).double().numpy()
+        return 30.0 * (0.3 - away).reshape(3 * [resolution])
+
+    found = reconstruction_of(Sides(), 3, 16, whole=ball)
+    np.testing.assert_array_equal(found.occupied, ball(16) > 0)
+    np.testing.assert_array_equal(found.whole, zero_level(ball(16)).triangles)
+    assert set(found.part.tolist()) == {0, 1}
+    for part, sign in ((0, 1.0), (1, -1.0)):
+        corners = found.triangles[found.part == part].reshape(-1, 3)
+        assert (sign * (corners[:, 0] - 0.1)).min() > -1e-3
+        assert np.linalg.norm(corners, axis=1).max() < 0.3 + 1e-3  # of a grid of 64^3
+
+
+def test_it_learns_beside_all_else_which_stays_the_same_and_goes_on_where_it_was(boxes, tmp_path):
+    plain = train(Training(TINY, "box", boxes, tmp_path / "plain"))
+    run = resumed_exactly(Training(LOCAL, "box", boxes, tmp_path / "local"), 7)
+    terms = [r["terms"] for r in run.metrics() if r.get("terms")]
+    losses = [some.pop("local") for some in terms]
+    assert terms == [r["terms"] for r in plain.metrics() if r.get("terms")]
+    assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:3])
