@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from learners import tiny
 
-from articugen.learning.fields import grid_centres, reconstruction_of
+from articugen.learning.fields import fields_within, grid_centres, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
 from articugen.learning.ppd.local import LocalField, Outline, nearest_points
@@ -120,6 +120,10 @@ def test_parts_share_what_lies_in_the_whole():
     np.testing.assert_array_equal(found.occupied, ball(16) > 0)
     np.testing.assert_array_equal(found.whole, zero_level(ball(16)).triangles)
     assert set(found.part.tolist()) == {0, 1}
+    there, grids = fields_within(Sides(), ball(16))
+    assert there.tolist() == [0, 1]
+    np.testing.assert_allclose(grids.max(0), ball(16))
+    assert (grids[0] == ball(16))[ball(16) < -3.0].all()  # nobody asks whose nothing is
     for part, sign in ((0, 1.0), (1, -1.0)):
         corners = found.triangles[found.part == part].reshape(-1, 3)
         assert (sign * (corners[:, 0] - 0.1)).min() > -1e-3
@@ -133,3 +137,8 @@ def test_it_learns_beside_all_else_which_stays_the_same_and_goes_on_where_it_was
     losses = [some.pop("local") for some in terms]
     assert terms == [r["terms"] for r in plain.metrics() if r.get("terms")]
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:3])
+
+
+def test_where_nothing_is_inside_no_part_has_a_surface():
+    found = reconstruction_of(Sides(), 3, 16, whole=lambda R: np.full(3 * [R], -1.0))
+    assert (len(found.triangles), len(found.whole), found.occupied.any()) == (0, 0, False)

@@ -124,9 +124,9 @@ def test_a_part_that_is_nowhere_is_not_looked_for_on_a_finer_grid(monkeypatch):
         model.shape.head_2.bias[8 + 3] -= 100.0
     asked, every = [], reconstruction.logits_at
 
-    def counted(*given):
+    def counted(*given, **how):
         asked.append((len(given[2]), given[3:]))
-        return every(*given)
+        return every(*given, **how)
 
     monkeypatch.setattr(reconstruction, "logits_at", counted)
     found = reconstruction_of(model, predicted, 64)
@@ -178,9 +178,9 @@ def test_parts_with_boxes_are_looked_for_there(monkeypatch):
     whole = part_logits(model, predicted, 16)
     asked, every = [], reconstruction.logits_at
 
-    def noted(*given):
+    def noted(*given, **how):
         asked.append(given[3].tolist())
-        return every(*given)
+        return every(*given, **how)
 
     monkeypatch.setattr(reconstruction, "logits_at", noted)
     found = reconstruction_of(model, predicted, 16)

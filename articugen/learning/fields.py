@@ -75,9 +75,10 @@ def reconstruction_of(
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
     drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
-    there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
     if whole:
-        grids += whole(drawn) - grids.max(0)
+        there, grids = fields_within(fields, whole(drawn))
+    else:
+        there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
     surfaces, outline = meshes(grids)
     inside = grids.max(0)
     if drawn != resolution and whole:
@@ -128,6 +129,18 @@ def grid_centres(resolution: int) -> Tensor:
 def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
     """Split points (n, 3) into blocks that are fastest for a number of parts."""
     return points.split((_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // parts)
+
+
+def fields_within(fields: Fields, whole: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return some parts (k,), and fields (k, R, R, R) of which the greatest is `whole` (R, R, R),
+    and belongs to the part whose own field is the greatest; parts that have nothing are left out.
+    """
+    near = np.flatnonzero((whole > 0.0) | beside_surfaces(whole[None]))
+    own = fields(voxel_centres(torch.from_numpy(near), len(whole)))
+    there = np.unique(own.argmax(0)) if len(near) else np.zeros(1, np.int64)
+    grids = np.repeat(whole[None], len(there), axis=0)
+    grids.reshape(len(there), -1)[:, near] += (own - own.max(0, initial=-np.inf))[there]
+    return there, grids
 
 
 def fields_near_surfaces(

@@ -55,7 +55,7 @@ def reconstruction_of(
     T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
     return fields.reconstruction_of(
-        partial(logits_at, model, predicted),
+        partial(logits_at, model, predicted, bounded=whole is None),
         J + 1,
         resolution,
         meshes=meshes,
@@ -85,15 +85,20 @@ def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
 
 @torch.no_grad()
 def logits_at(
-    model: PPD, predicted: Prediction, points: Tensor, parts: NDArray[np.int64] | None = None
+    model: PPD,
+    predicted: Prediction,
+    points: Tensor,
+    parts: NDArray[np.int64] | None = None,
+    *,
+    bounded: bool = True,
 ) -> Floats:
     """Return (P, n): the field of each part, or of these `parts`, at points (n, 3), before the
-    sigmoid; below 0 far outside of the part's box, where it has one."""
+    sigmoid; if `bounded`, below 0 far outside of the part's box, where it has one."""
     inverse = model.motion(predicted.pose)
     points = points.to(inverse.offset)
     numbers = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
     numbers = numbers.to(points.device)
-    if not predicted.shape.box:
+    if not predicted.shape.box or not bounded:
         field = _field(model.shape, predicted.shape, inverse, points, numbers)
     else:
         field = points.new_full((len(numbers), len(points)), _NOWHERE)
