@@ -133,13 +133,13 @@ def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
 
 def fields_within(fields: Fields, whole: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return some parts (k,), and fields (k, R, R, R) of which the greatest is `whole` (R, R, R),
-    and belongs to the part whose own field is the greatest; parts that have nothing are left out.
+    and belongs to the part whose values field is the greatest; parts that have nothing are left out.
     """
     near = np.flatnonzero((whole > 0.0) | beside_surfaces(whole[None]))
-    own = fields(voxel_centres(torch.from_numpy(near), len(whole)))
-    there = np.unique(own.argmax(0)) if len(near) else np.zeros(1, np.int64)
+    values = fields(voxel_centres(torch.from_numpy(near), len(whole)))
+    there = np.unique(values.argmax(0)) if len(near) else np.zeros(1, np.int64)
     grids = np.repeat(whole[None], len(there), axis=0)
-    grids.reshape(len(there), -1)[:, near] += (own - own.max(0, initial=-np.inf))[there]
+    grids.reshape(len(there), -1)[:, near] += (values - values.max(0, initial=-np.inf))[there]
     return there, grids
 
 

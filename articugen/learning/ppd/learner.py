@@ -63,7 +63,7 @@ class Predictor(Learner):
     def predict(self, cloud: Floats) -> Prediction:
         """Predict from one cloud (n, 3), as a batch of one."""
         with torch.no_grad():
-            clouds = self._seen(cloud)[None]
+            clouds = self._examined(cloud)[None]
             return self.model(clouds, residual_direction=self.residual_direction)
 
     def reconstruct(
@@ -71,10 +71,10 @@ class Predictor(Learner):
     ) -> Reconstruction:
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
         `meshes` says otherwise; what is inside of any a local field decides, if there is one."""
-        whole = Outline(self.local.field, self._seen(cloud)).on_grid if self.local else None
+        whole = Outline(self.local.field, self._examined(cloud)).on_grid if self.local else None
         return reconstruction_of(self.model, self.predict(cloud), resolution, meshes, whole=whole)
 
-    def _seen(self, cloud: Floats) -> Tensor:
+    def _examined(self, cloud: Floats) -> Tensor:
         """Return what is examined of a cloud (n, 3)."""
         device = next(self.model.parameters()).device
         return torch.as_tensor(cloud[: self.points], dtype=torch.float32, device=device)
