@@ -71,6 +71,12 @@ def test_labels_are_told_by_a_finer_grid_as_well(boxes):
     assert (means["label_iou"], means["finer_label_iou"]) == (1.0, 0.0)
     assert "finer_label_iou" not in evaluate(boxes, exactly, FEW).means
 
+    def finer_than_asked(instance):
+        return replace(exactly(instance), is_finer=True)
+
+    means = evaluate(boxes, finer_than_asked, FEW, finer=confused).means
+    assert means["label_iou"] == means["finer_label_iou"] == 1.0
+
 
 def test_nothing_predicted_counts_as_failed(boxes):
     result = evaluate(boxes, nothing, FEW)

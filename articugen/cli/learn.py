@@ -249,7 +249,7 @@ def predict(
     camera: int = option(0, "Which of the shard's, for a run of train-depth.", min=0),
     fit: bool = option(False, "Bring the cloud's box into the unit frame first."),
     out: Path = option(Path("rig"), "The folder for meshes, URDF and GLB."),
-    resolution: int = option(64, "Of the meshes' grid.", min=8, max=256),
+    resolution: int = option(128, "Of the meshes' grid.", min=8, max=256),
 ) -> None:
     """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts."""
     from articugen.learning import commands

@@ -348,7 +348,7 @@ def predict(
     camera: int = 0,
     fit: bool = False,
     out: FolderLike = "rig",
-    resolution: int = 64,
+    resolution: int = 128,
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> Predicted:
     """Segment and rig a shape: what is reconstructed, and what was given, cut into the parts, as
