@@ -133,8 +133,7 @@ def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
 
 def fields_within(fields: Fields, whole: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return some parts (k,), and fields (k, R, R, R) of which the greatest is `whole` (R, R, R),
-    and belongs to the part whose values field is the greatest; parts that have nothing are left out.
-    """
+    that of the part whose `fields` are the greatest there; parts that have nothing are left out."""
     near = np.flatnonzero((whole > 0.0) | beside_surfaces(whole[None]))
     values = fields(voxel_centres(torch.from_numpy(near), len(whole)))
     there = np.unique(values.argmax(0)) if len(near) else np.zeros(1, np.int64)

@@ -127,7 +127,7 @@ class Outline:
     @torch.no_grad()
     def _at(self, places: Tensor) -> Floats:
         """Return (m,), the field at places (m, 3)."""
-        blocks = places.to(self.cloud).split(_BLOCK if spares(places) else 64 * _BLOCK)
+        blocks = places.to(self.cloud).split(_BLOCK if spares(self.cloud) else 64 * _BLOCK)
         some = [self.field(self.cloud[None], block[None])[0] for block in blocks]
         return torch.cat(some).double().cpu().numpy()
 
