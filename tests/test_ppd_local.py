@@ -45,7 +45,7 @@ def test_neighbours_are_the_nearest_of_the_first_points(cloud, places):
         np.testing.assert_allclose(far[mine], nearest, atol=1e-6)
 
 
-def test_a_gpu_finds_the_same_neighbours():
+def test_without_a_kernel_neighbours_are_the_same():
     cloud, places = torch.rand(2, 500, 3), torch.rand(2, 40, 3)
     plain = nearest_points(cloud.double(), places.double())  # no kernel takes doubles
     assert torch.equal(nearest_points(cloud, places), plain)

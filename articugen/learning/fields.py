@@ -162,13 +162,18 @@ def fields_near_surfaces(
     parts, coarse = fields_near_surfaces(fields, resolution // 2, dense, looked_for)
     there = _somewhere_above(0.0, coarse)
     parts, coarse = parts[there], coarse[there]
-    fine, cells = doubled(coarse), np.flatnonzero(doubled(beside_surfaces(coarse)[None]))
-    if not len(cells):
-        return parts, fine
-    centres = voxel_centres(torch.from_numpy(cells), resolution)
-    for field, values in zip(fine, fields(centres, parts), strict=True):
-        field.reshape(-1)[cells] = values
-    return parts, fine
+    beside = doubled(beside_surfaces(coarse)[None])
+    return parts, renewed(doubled(coarse), beside, lambda centres: fields(centres, parts))
+
+
+def renewed(grids: Floats, there: NDArray[np.bool_], values: Callable[[Tensor], Floats]) -> Floats:
+    """Return grids (P, R, R, R), changed to `values` (P, n) of the centres (n, 3) of the voxels
+    that are `there`."""
+    cells = np.flatnonzero(there)
+    if len(cells):
+        centres = voxel_centres(torch.from_numpy(cells), grids.shape[1])
+        grids.reshape(len(grids), -1)[:, cells] = values(centres)
+    return grids
 
 
 def _on_the_whole_grid(

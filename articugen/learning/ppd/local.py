@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
 from articugen.discovery.clouds import widened
-from articugen.learning.blocks import Descent
+from articugen.learning.blocks import Descent, occupied_voxels
 from articugen.learning.cpu.batches import gather_points, spares, takes_kernels
 from articugen.learning.cpu.kernels import nearest_of_firsts
 from articugen.learning.data.batch import Batch
-from articugen.learning.data.cells import voxel_centres
-from articugen.learning.fields import beside_surfaces, doubled, grid_centres
+from articugen.learning.fields import beside_surfaces, doubled, grid_centres, renewed
 from articugen.learning.method import Terms
+from articugen.learning.ppd.settings import NEIGHBOURS
 
-NEIGHBOURS = 12
 FEWEST, EIGHTH = 32, 8
 SCALES = (0.25, 0.1, 0.04)
 """Lengths by which offsets to neighbours are divided: of the coarsest cloud first."""
@@ -36,7 +34,8 @@ _BLOCK = 512  # places at a time, whose activations stay in the cache
 
 
 class LocalField(nn.Module):
-    """Field of the whole object, above 0 inside, at places (B, m, 3) beside clouds (B, n, 3)."""
+    """Field of the whole object, above 0 inside, at places (B, m, 3) beside clouds (B, n, 3) of the
+    unit frame."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -119,10 +118,10 @@ class Outline:
         R = resolution
         if R <= _COARSEST or R % 2:
             return self._at(grid_centres(R)).reshape(R, R, R)
-        grid = doubled(self.on_grid(R // 2)[None])[0]
-        there = np.flatnonzero(_near_points(self.cloud, R) | beside_surfaces(grid[None]))
-        grid.reshape(-1)[there] = self._at(voxel_centres(torch.from_numpy(there), R))
-        return grid
+        grid = doubled(self.on_grid(R // 2)[None])
+        holds = occupied_voxels(self.cloud[None], R)[0].cpu().numpy() > 0
+        near = widened(holds, 1, (0, 1, 2)) | beside_surfaces(grid)
+        return renewed(grid, near, lambda centres: self._at(centres)[None])[0]
 
     @torch.no_grad()
     def _at(self, places: Tensor) -> Floats:
@@ -136,7 +135,8 @@ def nearest_points(cloud: Tensor, places: Tensor) -> Tensor:
     """Return (B, m, 3, NEIGHBOURS) the points of clouds (B, n, 3) that are nearest to places (B, m,
     3): of the first `FEWEST`, of the first eighth, and of all."""
     n = cloud.shape[1]
-    firsts = min(FEWEST, n), max(n // EIGHTH, min(FEWEST, n)), n
+    few = min(FEWEST, n)
+    firsts = few, max(n // EIGHTH, few), n
     if takes_kernels(cloud):
         out = torch.empty(*places.shape[:2], len(firsts), NEIGHBOURS, dtype=torch.int64)
         clouds, at = cloud.contiguous().numpy(), places.contiguous().numpy()
@@ -151,12 +151,3 @@ def _neighbour_layers() -> nn.Sequential:
     W = _WIDTH
     layers = [nn.Linear(7, W), nn.ReLU(), nn.Linear(W, W), nn.ReLU(), nn.Linear(W, W)]
     return nn.Sequential(*layers)
-
-
-def _near_points(cloud: Tensor, resolution: int) -> NDArray[np.bool_]:
-    """Return (R, R, R), which voxels hold a point, or touch one that does."""
-    R = resolution
-    there = np.zeros((R, R, R), bool)
-    x, y, z = ((cloud.cpu().numpy() + 0.5) * R).astype(int).clip(0, R - 1).T
-    there[x, y, z] = True
-    return widened(there, 1, (0, 1, 2))

@@ -22,6 +22,9 @@ MEASURED = ("rec", "moved")
 """The losses on held-out objects that seeds can be chosen by: how well they are reconstructed, the
 default, and how well predicted motions carry one pose onto the others."""
 
+NEIGHBOURS = 12
+"""Points of a cloud that a local field examines around each place, at each scale."""
+
 
 class ModelSettings(Section):
     """The parts and how they move.
@@ -214,6 +217,11 @@ class PPDRecipe(TrainRecipe):
         if self.data.grid_points + self.data.uniform_points == 0:
             raise ValueError(
                 "data.grid_points or uniform_points must be more than 0: L_vol needs them"
+            )
+        if self.model.local_points and self.data.surface_points < NEIGHBOURS:
+            raise ValueError(
+                f"model.local_points needs data.surface_points of {NEIGHBOURS} or more; or set it "
+                "to 0"
             )
         if self.vary and not self.warm_start.share:
             raise ValueError(
