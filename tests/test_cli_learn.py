@@ -62,17 +62,20 @@ def test_evaluate_predict(folder, monkeypatch):
     assert (result["objects"], result["instances"]) == (1, 2)
     with Image.open(runs / "box" / "000" / "evaluation" / "reconstructions.png") as picture:
         assert min(picture.size) > 200
-    done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8, "--on", data)
+    done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8, "--on", data, "-j", 1)
     assert done.exit_code == 0, done.output
     assert f"3 objects of {data}, none trained on, 6 instances" in done.output
     for figure in ("reconstructions", "interpolations"):
         assert (runs / "box" / "000" / "evaluation-on-data" / f"{figure}.png").is_file()
-    others = ("--resolution", 8, "--no-figures", "--on", data, "--on")
+    others = ("--resolution", 8, "--no-figures", "-j", 3, "--on", data, "--on")
     shutil.copytree(data, folder / "again")
     done = articugen("evaluate", runs / "box", "-d", data, *others, folder / "again")
     assert done.exit_code == 0, done.output
-    again = (runs / "box" / "000" / "evaluation-on-again" / "evaluation.md").read_text()
-    assert sum(line.startswith("| box-") for line in again.splitlines()) == 3
+    first, again = (runs / "box" / "000" / f"evaluation-on-{name}" for name in ("data", "again"))
+    lines = (again / "evaluation.md").read_text().splitlines()
+    assert sum(line.startswith("| box-") for line in lines) == 3
+    measures = [json.loads((f / "evaluation.json").read_text())["measures"] for f in (first, again)]
+    assert measures[0] == measures[1]  # one object or three at a time
     done = articugen("evaluate", runs / "box", "-d", data, *others, data)
     assert done.exit_code == 2
     assert "two of the data sets have one name" in done.output

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -56,6 +57,27 @@ def test_the_truth_scores_full_marks(boxes):
     assert result.labels == result.dominant == (0, 1, 2)
     assert (result.objects, result.instances) == (2, 6)
     assert seen == ["box-0", "box-1", "box-2", "box-3"]
+
+
+def test_objects_at_a_time_change_nothing(boxes):
+    both, names, jostled = Barrier(2), [], iter(np.random.default_rng(0).normal(0.0, 0.05, 99))
+    wrong = {i.object_id + str(i.state_index): next(jostled) for o in all_of(boxes) for i in o}
+
+    def beside_another(instance):
+        both.wait(30)
+        return shifted(instance)
+
+    def shifted(instance):
+        found, by = exactly(instance), wrong[instance.object_id + str(instance.state_index)]
+        return replace(found, triangles=found.triangles + by, whole=found.whole + by)
+
+    result = evaluate(boxes, beside_another, FEW, jobs=2, on_object=names.append)
+    assert result == evaluate(boxes, shifted, FEW)
+    assert names == ["box-0", "box-1", "box-2", "box-3"]
+
+
+def all_of(boxes):
+    return [*objects_of(boxes, "train", 0), *objects_of(boxes, "test", None)]
 
 
 def test_labels_are_told_by_a_finer_grid_as_well(boxes):
@@ -224,15 +246,15 @@ def test_objects_may_have_other_numbers_of_parts(boxes, whole, monkeypatch):
 
 
 def test_all_poses_can_vote(boxes):
-    canonical, none = label_votes(boxes, truth, FEW, lambda _: None)
+    canonical, none = label_votes(boxes, truth, FEW, 1, lambda _: None)
     assert none is None
     by_all = Protocol(points=100, label_poses="all")
-    again, everything = label_votes(boxes, truth, by_all, lambda _: None)
+    again, everything = label_votes(boxes, truth, by_all, 1, lambda _: None)
     np.testing.assert_allclose(canonical, 2 * np.eye(3))
     np.testing.assert_allclose(again, canonical)
     np.testing.assert_allclose(everything, 6 * np.eye(3))
     few = replace(by_all, states=1)
-    np.testing.assert_allclose(label_votes(boxes, truth, few, lambda _: None)[1], 4 * np.eye(3))
+    np.testing.assert_allclose(label_votes(boxes, truth, few, 1, lambda _: None)[1], 4 * np.eye(3))
 
 
 def test_what_moves_parts_among_labels_costs_those_of_canonical_poses(boxes):

@@ -148,7 +148,7 @@ def evaluate(
         show_default="the test objects",
     ),
     figures: bool = option(True, "Draw figures as well.", "--figures/--no-figures"),
-    threads: int = option(1, "CPU threads, of which more hardly help; 0: torch's.", min=0),
+    jobs: int = option(0, "Objects at a time, a thread each; 0: one for each core.", "-j", min=0),
 ) -> None:
     """Evaluate a run's last checkpoint on the test objects, as the paper does."""
     from articugen.evaluation.report import markdown
@@ -169,7 +169,7 @@ def evaluate(
                 resolution=resolution,
                 label_poses=label_poses,
                 states=states or None,
-                threads=threads,
+                jobs=jobs,
                 on=place,
                 on_object=lambda name, status=status: status.update(f"evaluated {name}"),
             )

@@ -5,10 +5,12 @@ without any predicted surface scores a label IoU of 0; a true part without a pre
 not to move; distances to what is missing count as the unit cube's diagonal.
 """
 
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +47,7 @@ Reconstruct = Callable[[Instance], Reconstruction]
 Instances = tuple[Instance, Instance]
 Predicted = tuple[Reconstruction, Reconstruction]
 Canonical = tuple[Instance, Reconstruction] | None
+_T = TypeVar("_T")
 
 KINDS: dict[int, Kind] = {JointKind.REVOLUTE: "revolute", JointKind.PRISMATIC: "prismatic"}
 DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
@@ -77,7 +80,8 @@ class Protocol:
 @dataclass
 class Tally:
     """Measures so far, by votes (P, K) that are cast already: those of canonical poses, and of all
-    if those were asked. `at` names the instance that the next measures are of."""
+    if those were asked, and what the rules leave out. `at` names the instance that the next
+    measures are of."""
 
     protocol: Protocol
     votes: Floats
@@ -86,6 +90,7 @@ class Tally:
     values: dict[tuple[str, int], dict[str, list[float]]] = field(default_factory=dict)
     joint_states: list[JointState] = field(default_factory=list)
     joint_errors: list[JointError] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         self.labels = metrics.labels_from(self.votes)
@@ -95,6 +100,14 @@ class Tally:
 
     def at(self, instance: Instance) -> None:
         self._row = self.values.setdefault((instance.object_id, instance.state_index), {})
+
+    def take(self, other: "Tally") -> None:
+        """Take the measures of other objects."""
+        self.objects += other.objects
+        self.values |= other.values
+        self.joint_states += other.joint_states
+        self.joint_errors += other.joint_errors
+        self.left_out += other.left_out
 
     def add(self, **values: float) -> None:
         for name, value in values.items():
@@ -244,6 +257,7 @@ def evaluate(
     category: str | None = None,
     on: Path | None = None,
     finer: Reconstruct | None = None,
+    jobs: int = 1,
     on_object: Callable[[str], None] = lambda _: None,
     measures: type[Tally] = Tally,
 ) -> Evaluation:
@@ -261,15 +275,19 @@ def evaluate(
         finer: the same on a finer grid, for a `finer_label_iou` by the same votes: the paper names
             a grid for F-score and Chamfer-L1, but none for labels. Parts that are finer than their
             grid are not made again.
+        jobs: objects at a time, each in a thread, in which `reconstruct` and `finer` are called;
+            what is measured stays the same.
+        on_object: called with the name of each object, those that vote first.
         measures: what is measured, by which rules.
 
     Raises:
         UnfitData: a data set has no training or no test object, or is of another category.
     """
     check_splits(data, category, on)
-    tally = measures(protocol, *label_votes(data, reconstruct, protocol, on_object))
-    for instances in tested(data, on, protocol.states):
-        tally.objects += 1
+    votes = label_votes(data, reconstruct, protocol, jobs, on_object)
+
+    def measured(instances: list[Instance]) -> Tally:
+        tally = measures(protocol, *votes, objects=1)
         first: Canonical = None
         for instance in instances:
             predicted = reconstruct(instance)
@@ -279,6 +297,11 @@ def evaluate(
             if finer and predicted.whole is not None:
                 fine = predicted if predicted.is_finer else finer(instance)
                 tally.add_label_iou(*nearest_parts(instance, fine, protocol), "finer_")
+        return tally
+
+    tally = measures(protocol, *votes)
+    for instances, of_object in _side_by_side(measured, tested(data, on, protocol.states), jobs):
+        tally.take(of_object)
         on_object(instances[0].object_id)
     return tally.evaluation()
 
@@ -308,18 +331,24 @@ def tested(data: Path, on: Path | None, states: int | None) -> Iterator[list[Ins
 
 
 def label_votes(
-    data: Path, reconstruct: Reconstruct, protocol: Protocol, on_object: Callable[[str], None]
+    data: Path,
+    reconstruct: Reconstruct,
+    protocol: Protocol,
+    jobs: int,
+    on_object: Callable[[str], None],
 ) -> tuple[Floats, Floats | None]:
     """Return (P, K) the votes of the training objects' canonical instances, summed, and those of
     all instances if the protocol asks for them; K parts of the object that has most."""
+
+    def cast(instances: list[Instance]) -> list[Floats]:
+        return [_votes(instance, reconstruct(instance), protocol) for instance in instances]
+
     of_all = protocol.label_poses == "all"
+    voters = objects_of(data, "train", protocol.states if of_all else 0)
     ballots, more = [], []
-    for instances in objects_of(data, "train", protocol.states if of_all else 0):
-        for instance in instances:
-            predicted = reconstruct(instance)
-            near, true = nearest_parts(instance, predicted, protocol)
-            cast = metrics.votes(near, true, predicted.parts, len(instance.part_motion))
-            (more if instance.state_index else ballots).append(cast)
+    for instances, votes in _side_by_side(cast, voters, jobs):
+        ballots.append(votes[0])
+        more.extend(votes[1:])
         on_object(instances[0].object_id)
     most = max(ballot.shape[1] for ballot in ballots)
     first, others = (
@@ -327,6 +356,27 @@ def label_votes(
         for some in (ballots, more)
     )
     return first, first + others if of_all else None
+
+
+def _votes(instance: Instance, predicted: Reconstruction, protocol: Protocol) -> Floats:
+    near, true = nearest_parts(instance, predicted, protocol)
+    return metrics.votes(near, true, predicted.parts, len(instance.part_motion))
+
+
+def _side_by_side(
+    work: Callable[[list[Instance]], _T], objects: Iterable[list[Instance]], jobs: int
+) -> Iterator[tuple[list[Instance], _T]]:
+    """Yield each object and what `work` makes of it, in order; `jobs` at a time, no more of which
+    are in memory than that needs."""
+    coming: deque[tuple[list[Instance], Future[_T]]] = deque()
+    with ThreadPoolExecutor(jobs) as pool:
+        for instances in objects:
+            coming.append((instances, pool.submit(work, instances)))
+            if len(coming) > jobs:
+                some, future = coming.popleft()
+                yield some, future.result()
+        for some, future in coming:
+            yield some, future.result()
 
 
 def objects_of(data: Path, split: str | None, states: int | None) -> Iterator[list[Instance]]:

@@ -1,7 +1,9 @@
 """What the commands of learning do, as functions that a notebook can call as well."""
 
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -18,6 +20,7 @@ except ImportError as error:
     raise MissingExtra(name, "ppd") from None
 
 from articugen.core.files import write_atomically
+from articugen.core.processes import default_jobs
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
@@ -31,7 +34,7 @@ from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise, training_objects
 from articugen.learning.data.windows import Endless
 from articugen.learning.loop import Notify
-from articugen.learning.method import Yardstick, find_method, load_recipe
+from articugen.learning.method import Learner, Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
     cloud_of_shard,
     cut,
@@ -146,7 +149,7 @@ def evaluate(
     resolution: int | None = None,
     label_poses: str = "canonical",
     states: int | None = STATES,
-    threads: int = 1,
+    jobs: int = 0,
     on: FolderLike | None = None,
     on_object: Callable[[str], None] = lambda _: None,
 ) -> RunEvaluation:
@@ -160,8 +163,8 @@ def evaluate(
             finer one as well.
         label_poses: whose poses vote for labels, `canonical`, or `all` for another label IoU too.
         states: random states an object; None is all, as in the paper.
-        threads: of the CPU, which wait for each other where one cloud is examined after the
-            other; 0 leaves it to torch.
+        jobs: objects at a time, a thread each; 0 is as many as there are cores. What is measured
+            stays the same.
         on: the folder of another data set, all objects of which are tested instead: none of them
             was trained on.
         on_object: called with the name of each object that was evaluated.
@@ -174,7 +177,7 @@ def evaluate(
         UnfitData: a data set has no such object, or is of another category.
         ArticugenError: there is no such protocol.
     """
-    prepare(threads=threads)
+    prepare(threads=1)
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
     folder = newest(run)
@@ -192,17 +195,18 @@ def evaluate(
         ),
         category=point.category,
         on=None if on is None else Path(on),
+        jobs=jobs or default_jobs(),
         on_object=on_object,
     )
 
     learner, budget = point.learner(), point.recipe.budget
-    partial_clouds = learner.inputs.partial
+    partial_clouds, of_thread = learner.inputs.partial, _Copy(learner)
 
     def at(grid: int) -> Reconstruct:
         def reconstruct(instance: Instance) -> Reconstruction:
             cloud = dequantize(instance.surface_points)
             cloud = seen_by_a_camera(instance) if partial_clouds else cloud
-            return by.reconstruct(learner, cloud, grid)
+            return by.reconstruct(of_thread.learner, cloud, grid)
 
         return reconstruct
 
@@ -220,6 +224,13 @@ def evaluate(
     result.write(out)
     write_atomically(out / "evaluation.md", markdown(result).encode())
     return result
+
+
+class _Copy(threading.local):
+    """A learner for each thread: while one calls a model with some of its weights, no other may."""
+
+    def __init__(self, learner: Learner) -> None:
+        self.learner = deepcopy(learner)
 
 
 def evaluation_folder(

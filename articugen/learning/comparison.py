@@ -69,7 +69,7 @@ class Entry:
         n = recipe.schedule.iterations
         assert isinstance(what.data, Path)
         commands.evaluate(
-            path, what.data, label_poses="all", states=self.states,
+            path, what.data, label_poses="all", states=self.states, jobs=1,
             on_object=lambda name: notify(Progress(n, n, said=f"evaluating: {name}")),
         )  # fmt: skip
 

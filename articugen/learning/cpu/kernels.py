@@ -88,15 +88,13 @@ def nearest_of_firsts(clouds, places, firsts, out):
     """
     B, m, s, k = out.shape
     n = clouds.shape[1]
-    axes, apart = np.empty((3, n), np.float32), np.empty(n, np.float32)
+    apart = np.empty(n, np.float32)
     is_near = np.zeros((n + 7) // 8 * 8, np.uint8)
     eights = is_near.view(np.uint64)
     far, at = np.empty(k, np.float32), np.zeros(k, np.int64)
-    X, Y, Z = axes[0], axes[1], axes[2]
     for b in range(B):
-        for axis in range(3):
-            for j in range(n):
-                axes[axis, j] = clouds[b, j, axis]
+        axes = np.ascontiguousarray(clouds[b].T)
+        X, Y, Z = axes[0], axes[1], axes[2]
         for i in range(m):
             x, y, z = places[b, i, 0], places[b, i, 1], places[b, i, 2]
             for j in range(n):
@@ -106,10 +104,7 @@ def nearest_of_firsts(clouds, places, firsts, out):
             for scale in range(s):
                 bound, last = far[k - 1], firsts[scale]
                 if i:
-                    most = np.float32(0.0)
-                    for place in range(k):
-                        most = max(most, apart[out[b, i - 1, scale, place]])
-                    bound = min(bound, most)
+                    bound = min(bound, _farthest_of(apart, out, b, i - 1, scale))
                 far[:] = np.inf
                 for j in range(last):  # from 0, or it is not done by eight
                     is_near[j] = apart[j] <= bound
@@ -120,6 +115,14 @@ def nearest_of_firsts(clouds, places, firsts, out):
                                 _insert(far, at, apart[j], j)
                 for place in range(k):
                     out[b, i, scale, place] = at[place]
+
+
+@helper
+def _farthest_of(apart, out, b, i, scale):
+    most = np.float32(0.0)
+    for place in range(out.shape[3]):
+        most = max(most, apart[out[b, i, scale, place]])
+    return most
 
 
 @helper

@@ -7,8 +7,7 @@ labelled as, are left out. Here alone it is counted what is left out. The releas
 F-score, Chamfer-L1 or the accuracy of joints, so there are none.
 """
 
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,11 +97,8 @@ def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Re
     )
 
 
-@dataclass
 class _Tally(Tally):
-    """Measures by the release's rules, and what these leave out."""
-
-    left_out: Counter[str] = field(default_factory=Counter)
+    """Measures by the release's rules."""
 
     def measure(self, instance: Instance, predicted: Reconstruction, first: Canonical) -> None:
         if not len(predicted.triangles):
