@@ -13,9 +13,10 @@ from ppd_data import write_boxes
 from articugen.core.errors import UnfitData
 from articugen.core.geometry import transform
 from articugen.evaluation import evaluate as evaluation_module
-from articugen.evaluation.evaluate import Protocol, evaluate, label_votes, objects_of
+from articugen.evaluation.evaluate import evaluate, label_votes, objects_of
 from articugen.evaluation.reconstruction import PartJoints, truth
 from articugen.evaluation.report import _details
+from articugen.evaluation.tally import Protocol
 
 BOXES = {"train": 2, "test": 2, "states": 2}
 

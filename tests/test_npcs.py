@@ -13,9 +13,9 @@ torch = pytest.importorskip("torch", reason="learners need torch")
 
 from articugen.core.errors import ArticugenError, UnfitData
 from articugen.core.geometry import rotation_about, transform
-from articugen.evaluation.evaluate import Protocol
 from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.evaluation.reconstruction import joints_of, labelled_points, truth, turn_of
+from articugen.evaluation.tally import Protocol
 from articugen.learning.commands import draw, evaluate, predict
 from articugen.learning.data.batch import Batch
 from articugen.learning.loop import Training, train

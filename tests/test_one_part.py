@@ -6,7 +6,8 @@ import torch
 from ppd_data import write_boxes
 
 from articugen.core.records import dequantize
-from articugen.evaluation.evaluate import Protocol, evaluate
+from articugen.evaluation.evaluate import evaluate
+from articugen.evaluation.tally import Protocol
 from articugen.learning import commands
 from articugen.learning.method import find_method, load_recipe
 

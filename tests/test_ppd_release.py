@@ -7,9 +7,9 @@ import pytest
 from instances import nothing
 
 from articugen.core.errors import UnfitData
-from articugen.evaluation.evaluate import Protocol
 from articugen.evaluation.reconstruction import Reconstruction, truth
 from articugen.evaluation.results import LeftOut
+from articugen.evaluation.tally import Protocol
 from articugen.learning.ppd.release import as_points, evaluate, release_meshes
 
 BOXES = {"train": 2, "test": 2, "states": 2}

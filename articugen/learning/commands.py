@@ -1,9 +1,7 @@
 """What the commands of learning do, as functions that a notebook can call as well."""
 
 import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -24,17 +22,18 @@ from articugen.core.processes import default_jobs
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
-from articugen.evaluation.evaluate import Protocol, Reconstruct, check_splits
+from articugen.evaluation.evaluate import Reconstruct, check_splits
 from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.evaluation.reconstruction import Reconstruction
 from articugen.evaluation.report import markdown
 from articugen.evaluation.report import tables as written
 from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
+from articugen.evaluation.tally import Protocol
 from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise, training_objects
 from articugen.learning.data.windows import Endless
 from articugen.learning.loop import Notify
-from articugen.learning.method import Learner, Yardstick, find_method, load_recipe
+from articugen.learning.method import OfThread, Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
     cloud_of_shard,
     cut,
@@ -188,24 +187,21 @@ def evaluate(
     by = yardsticks[protocol]
     finer, resolution = None if resolution else by.finer, resolution or by.resolution
     measure = partial(
-        by.evaluate,
-        Path(data),
+        by.evaluate, Path(data),
         protocol=Protocol(
             label_poses=label_poses, states=states, occupancy=point.recipe.data.occupancy
         ),
-        category=point.category,
-        on=None if on is None else Path(on),
-        jobs=jobs or default_jobs(),
-        on_object=on_object,
-    )
+        category=point.category, on=None if on is None else Path(on),
+        jobs=jobs or default_jobs(), on_object=on_object,
+    )  # fmt: skip
 
     learner, budget = point.learner(), point.recipe.budget
-    partial_clouds, of_thread = learner.inputs.partial, _Copy(learner)
+    partial_clouds, of_thread = learner.inputs.partial, OfThread(learner)
 
     def at(grid: int) -> Reconstruct:
         def reconstruct(instance: Instance) -> Reconstruction:
-            cloud = dequantize(instance.surface_points)
-            cloud = seen_by_a_camera(instance) if partial_clouds else cloud
+            complete = dequantize(instance.surface_points)
+            cloud = seen_by_a_camera(instance) if partial_clouds else complete
             return by.reconstruct(of_thread.learner, cloud, grid)
 
         return reconstruct
@@ -224,13 +220,6 @@ def evaluate(
     result.write(out)
     write_atomically(out / "evaluation.md", markdown(result).encode())
     return result
-
-
-class _Copy(threading.local):
-    """A learner for each thread: while one calls a model with some of its weights, no other may."""
-
-    def __init__(self, learner: Learner) -> None:
-        self.learner = deepcopy(learner)
 
 
 def evaluation_folder(

@@ -8,7 +8,9 @@ imports a method; METHODS and entry points of the group `articugen.methods` say 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -114,6 +116,14 @@ class Learner(Protocol):
         """Return the shape predicted from one cloud (n, 3) in the unit frame, on a grid of
         `resolution`^3."""
         ...
+
+
+class OfThread(threading.local):
+    """A copy of a learner for each thread: where one calls a model with some of its weights, no
+    other may at that time."""
+
+    def __init__(self, learner: Learner) -> None:
+        self.learner = deepcopy(learner)
 
 
 @dataclass(frozen=True)

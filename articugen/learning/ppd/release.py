@@ -16,20 +16,20 @@ import numpy as np
 from articugen.core.records import Floats
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.evaluation.evaluate import (
+from articugen.evaluation.evaluate import Reconstruct
+from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
+from articugen.evaluation.metrics import NO_LABEL, endpoint_error
+from articugen.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.results import Evaluation, LeftOut
+from articugen.evaluation.tally import (
     Canonical,
     Protocol,
-    Reconstruct,
     Tally,
     carriers,
     motions,
     nearest_parts,
     surface_of,
 )
-from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
-from articugen.evaluation.metrics import NO_LABEL, endpoint_error
-from articugen.evaluation.reconstruction import Reconstruction
-from articugen.evaluation.results import Evaluation, LeftOut
 from articugen.learning.ppd.learner import Predictor
 from articugen.meshes.distances import sample
 from articugen.meshes.marching_cubes import zero_level
