@@ -22,6 +22,8 @@ from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, Surfels, surfels
 from articugen.store.rows import Row
 
+Drawing = tuple[Floats, Floats, Floats]  # depth, normals, colours of each pixel
+
 NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 _NO_CLOUD = spread(NOTHING.triangles, 0)
 
@@ -135,7 +137,7 @@ def portrait(
     coarse = SurfaceCloud(
         points.points, points.normals, np.full(len(points.points), points.spacing() ** 2)
     )
-    picture = nearer(draw(posed, _LIGHT[posed.part], camera), _drawn(beside, camera))
+    picture = _with(draw(posed, _LIGHT[posed.part], camera), beside, camera)
     return shaded(picture, camera, coarse, posed.cloud, floor)
 
 
@@ -150,7 +152,7 @@ def solid_portrait(
     solid: ColouredMesh, camera: Camera, floor: float, *, beside: ColouredMesh = NOTHING
 ) -> Picture:
     """Draw a mesh as `portrait` draws points; an empty picture where there is none."""
-    picture = nearer(_drawn(solid, camera), _drawn(beside, camera))
+    picture = _with(_drawn(solid, camera), beside, camera)
     coarse, fine = (spread(solid.triangles, count) for count in (8192, 65536))
     return shaded(picture, camera, coarse, fine, floor)
 
@@ -167,14 +169,16 @@ def parts_portrait(
     return solid_portrait(solid, camera, float(corners[:, 2].min()))
 
 
-def _drawn(solid: ColouredMesh, camera: Camera) -> tuple[Floats, Floats, Floats]:
+def _drawn(solid: ColouredMesh, camera: Camera) -> Drawing:
     colours = np.array([linear(colour) for colour in solid.colours]).reshape(-1, 3)
     return draw_solid(solid, colours, camera)
 
 
-def nearer(
-    a: tuple[Floats, Floats, Floats], b: tuple[Floats, Floats, Floats]
-) -> tuple[Floats, Floats, Floats]:
+def _with(drawing: Drawing, beside: ColouredMesh, camera: Camera) -> Drawing:
+    return nearer(drawing, _drawn(beside, camera)) if len(beside.triangles) else drawing
+
+
+def nearer(a: Drawing, b: Drawing) -> Drawing:
     """Return the nearer of two drawings by one camera, pixel by pixel."""
     first = (a[0] <= b[0])[..., None]
     return (np.minimum(a[0], b[0]), np.where(first, a[1], b[1]), np.where(first, a[2], b[2]))
