@@ -34,9 +34,9 @@ def package_in(folder: Path) -> None:
     for path in PACKAGE.iterdir():
         link = folder / "articugen" / path.name
         if path.name in ("core", "instance"):  # their files may be changed, too
-            link.mkdir()
-            for inner in path.glob("*.py"):
-                (link / inner.name).symlink_to(inner)
+            (link / "__pycache__").mkdir(parents=True)
+            for inner in (*path.glob("*.py"), *path.glob("__pycache__/*")):
+                (link / inner.relative_to(path)).symlink_to(inner)
         else:
             link.symlink_to(path)
 
