@@ -345,7 +345,7 @@ def test_glb_in_trimesh_and_pygltflib(exported, rows):
 
 def test_meshes_come_from_the_models(laptops, tmp_path):
     data = ag.open(laptops)
-    ag.export(laptops, "urdf", tmp_path / "urdf", resolution=256)
+    ag.export(laptops, "urdf", tmp_path / "urdf", resolution=192)
     for row in (row for row in data if row.state_index == 0):
         path = tmp_path / "urdf" / row.split / row.object_id / f"{row.object_id}.urdf"
         robot = yourdfpy.URDF.load(str(path))
@@ -355,11 +355,11 @@ def test_meshes_come_from_the_models(laptops, tmp_path):
             assert mesh.is_watertight
             T = robot.get_transform(part.name)
             inside[len(inside)] = trimesh.Trimesh(apply(T, mesh.vertices), mesh.faces)
-        points = row.to_metres(row.near.points[::4])
+        points = row.to_metres(row.near.points[::8])
         label = np.zeros(len(points), np.uint8)
         for part in (*range(1, len(inside)), 0):
             label[inside[part].contains(points) & (label == 0)] = part + 1
-        near = row.near.label[::4]
+        near = row.near.label[::8]
         truth = np.where(is_material(near), near, 0)
         assert (label == truth).mean() > 0.995
     with pytest.raises(ag.ArticugenError, match="holds an export of other data"):
