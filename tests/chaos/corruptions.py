@@ -267,7 +267,7 @@ def trials(work: Path, count: int, *, repaired: int) -> Iterator[Trial]:
         folder = Path(shutil.copytree(sound, work / f"trial-{number}"))
         harmed = CORRUPTIONS[fault](folder, other, np.random.default_rng(number))
         report = verify(folder)
-        same = _mended(folder) == content if number < repaired else None
+        same = _mended(folder, report) == content if number < repaired else None
         yield Trial(fault, number, harmed, report, same)
         shutil.rmtree(folder)
 
@@ -277,9 +277,9 @@ def _made(folder: Path, seed: int) -> Path:
     return folder
 
 
-def _mended(folder: Path) -> str | None:
+def _mended(folder: Path, report: Report) -> str | None:
     """The content hash of a data set that is whole again once it was repaired, or None."""
-    done = tuple(repair(folder, verify(folder), jobs=0))
+    done = tuple(repair(folder, report, jobs=0))
     if [(each.name, each.ok) for each in done] == [(MANIFEST_NAME, False)]:  # follow its advice
         assert "delete it and repair again" in done[0].done
         (folder / MANIFEST_NAME).unlink()
