@@ -22,10 +22,9 @@ from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, Surfels, surfels
 from articugen.store.rows import Row
 
-Drawing = tuple[Floats, Floats, Floats]  # depth, normals, colours of each pixel
-
 NOTHING = ColouredMesh(np.zeros((0, 3, 3)), np.zeros(0, np.int64), ())
 _NO_CLOUD = spread(NOTHING.triangles, 0)
+Drawing = tuple[Floats, Floats, Floats]  # depth, normals and colours, pixel by pixel
 
 _LIGHT = (PALETTE / 255.0) ** 2.2
 """(256, 3) the colour of each part, as linear light."""
@@ -134,10 +133,9 @@ def portrait(
         beside: drawn as well, without a shadow.
     """
     posed, points = discs.moved(instance.part_motion), oriented_points(instance)
-    coarse = SurfaceCloud(
-        points.points, points.normals, np.full(len(points.points), points.spacing() ** 2)
-    )
-    picture = _with(draw(posed, _LIGHT[posed.part], camera), beside, camera)
+    area = np.full(len(points.points), points.spacing() ** 2)
+    coarse = SurfaceCloud(points.points, points.normals, area)
+    picture = nearer(draw(posed, _LIGHT[posed.part], camera), _drawn(beside, camera))
     return shaded(picture, camera, coarse, posed.cloud, floor)
 
 
@@ -152,7 +150,7 @@ def solid_portrait(
     solid: ColouredMesh, camera: Camera, floor: float, *, beside: ColouredMesh = NOTHING
 ) -> Picture:
     """Draw a mesh as `portrait` draws points; an empty picture where there is none."""
-    picture = _with(_drawn(solid, camera), beside, camera)
+    picture = nearer(_drawn(solid, camera), _drawn(beside, camera))
     coarse, fine = (spread(solid.triangles, count) for count in (8192, 65536))
     return shaded(picture, camera, coarse, fine, floor)
 
@@ -174,11 +172,9 @@ def _drawn(solid: ColouredMesh, camera: Camera) -> Drawing:
     return draw_solid(solid, colours, camera)
 
 
-def _with(drawing: Drawing, beside: ColouredMesh, camera: Camera) -> Drawing:
-    return nearer(drawing, _drawn(beside, camera)) if len(beside.triangles) else drawing
-
-
 def nearer(a: Drawing, b: Drawing) -> Drawing:
     """Return the nearer of two drawings by one camera, pixel by pixel."""
+    if np.isinf(b[0]).all():
+        return a
     first = (a[0] <= b[0])[..., None]
     return (np.minimum(a[0], b[0]), np.where(first, a[1], b[1]), np.where(first, a[2], b[2]))
