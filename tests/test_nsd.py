@@ -166,8 +166,8 @@ def test_meshes_lie_on_the_surfaces_and_leave_out_what_others_cover():
 def test_it_learns_resumes_and_is_judged(tmp_path):
     boxes = write_boxes(tmp_path / "boxes", train=3, test=1, states=1)
     model = {"code": 32, "stars": 4, "width": 32, "directions": 60}
-    plan = learner_of(model, 300).settings
-    whole = resumed_exactly(Training(plan, category="box", data=boxes, runs=tmp_path / "runs"), 150)
+    plan = learner_of(model, 120).settings
+    whole = resumed_exactly(Training(plan, category="box", data=boxes, runs=tmp_path / "runs"), 60)
     terms = [line["terms"] for line in whole.metrics() if "terms" in line]
     assert np.mean([t["surface"] for t in terms[-3:]]) < 0.5 * terms[0]["surface"]
     found = evaluate(whole.path, boxes, resolution=16)
