@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from few import FEW
 from hypothesis import given
 from hypothesis import strategies as st
 from real_models import REAL_MODELS, needs_real_models
@@ -73,6 +74,7 @@ def test_procedural_counts_are_the_papers(source, category):
     assert {ref.location.name for ref in refs} == set(ids(refs))
 
 
+@FEW
 @given(category=st.sampled_from(sorted(PAPER)), objects=st.integers(1, 400))
 def test_any_number_of_procedural_objects_keeps_the_ratio(category, objects):
     train, test = PAPER[category]
