@@ -8,7 +8,8 @@ import exports
 import numpy as np
 import pytest
 from exports import MESHES, canonical_meshes, motion_in_metres, state_in_metres
-from hypothesis import given, settings
+from few import FEW
+from hypothesis import given
 from hypothesis import strategies as st
 
 from articugen.core.errors import InvalidSource
@@ -154,7 +155,7 @@ class Writer:
 
 
 @given(st.randoms(use_true_random=False))
-@settings(max_examples=60)
+@FEW
 def test_any_model_stands_where_mujoco_has_it(tmp_path_factory, random):
     mujoco = pytest.importorskip("mujoco", reason="the oracle; make exporters")
     folder = tmp_path_factory.mktemp("model") / "own"
