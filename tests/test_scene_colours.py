@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from few import FEW
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -223,6 +224,7 @@ def test_srgb_is_the_inverse_of_its_curve():
         np.testing.assert_allclose(srgb(light), [byte / 255.0, 0.0, 1.0], atol=1e-7)
 
 
+@FEW
 @given(st.lists(st.tuples(*[st.integers(0, 255)] * 3), min_size=1, max_size=4))
 def test_colours_are_those_that_others_write(tmp_path_factory, colours):
     """trimesh writes bytes as they are, in glTF as shares of light."""
