@@ -61,11 +61,9 @@ def found() -> list[tuple[str, str, str]]:
 
 
 def recipe_for(category: str) -> Recipe:
-    return (
-        load_recipe(None, category)
-        .with_options(states=STATES)
-        .model_copy(update={"sampling": SAMPLES})
-    )
+    own = load_recipe(None, category).with_options(states=STATES)
+    few = own.views.model_copy(update={"count": 50})
+    return own.model_copy(update={"sampling": SAMPLES, "views": few})
 
 
 def all_stages(ref: ObjectRef) -> tuple[Prepared, list[Instance]]:
