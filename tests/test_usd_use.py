@@ -38,7 +38,7 @@ def test_what_is_exported_as_usd_is_read_as_a_source_again(tmp_path, category):
     ag.generate(category, out=tmp_path, recipe=TINY, objects=1, states=2, jobs=0)
     data = ag.open(tmp_path / category)
     for to in ("usd", "urdf"):
-        ag.export(tmp_path / category, to, tmp_path / to, resolution=128)
+        ag.export(tmp_path / category, to, tmp_path / to, resolution=64)
     (usd,), (urdf,) = (sorted(tmp_path.rglob(f"*.{ending}")) for ending in ("usdc", "urdf"))
     ours, theirs = (load_path(path, category) for path in (usd, urdf))
     own = [joint for joint in ours.joints if joint.kind != JointKind.FIXED]
@@ -71,7 +71,7 @@ def test_generate_inspect_and_choose(tmp_path):
     (models / "cab_2" / "resource" / "material.usda").unlink()
     tiny = tmp_path / "tiny.yaml"
     tiny.write_text(json.dumps(TINY))
-    common = ("--source", tmp_path / "models", "--recipe", tiny, "--states", 2, "--jobs", 1,
+    common = ("--source", tmp_path / "models", "--recipe", tiny, "--states", 2, "--jobs", 0,
               "--max-rejected", 1)  # fmt: skip
     done = run("generate", "-c", "dishwasher", *common, "--joints", "revolute", "--out", tmp_path)
     assert done.exit_code == 3, done.output
@@ -82,7 +82,7 @@ def test_generate_inspect_and_choose(tmp_path):
     assert (lid.name, lid.kind) == ("RevoluteJoint", "revolute")
     shown = run("inspect", tmp_path / "dishwasher")
     assert shown.exit_code == 0, shown.output
-    assert ag.verify(tmp_path / "dishwasher", replay=1, jobs=1).ok
+    assert ag.verify(tmp_path / "dishwasher", replay=1, jobs=0).ok
     again = run("generate", "-c", "dishwasher", *common, "--joints", "revolute", "--out", tmp_path)
     assert again.exit_code == 3
     assert ag.open(tmp_path / "dishwasher")[0].object_id == "cab_1"
