@@ -1,7 +1,8 @@
 """The viewer's page in a real browser: what is asked for with its controls is what is seen.
 
 One server and one window serve most tests, as each has the window start from what it shows at
-first. Nothing waits for a number of seconds, but for what must come to be seen.
+first; the others come before it, as it draws all the time. Nothing waits for a number of seconds,
+but for what must come to be seen.
 """
 
 import io
@@ -26,7 +27,7 @@ from articugen.inspection.viewer.panel import AT_FIRST, LAYERS
 from articugen.inspection.viewer.serve import Served, served
 from articugen.inspection.viewer.sources import source_of
 
-WINDOW = {"width": 900, "height": 600}
+WINDOW = {"width": 900, "height": 450}
 
 PATIENCE = 180_000
 """Milliseconds that a busy machine is given for anything."""
@@ -126,28 +127,6 @@ def where(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     return np.argwhere(alike & (lit[..., 0] > 60))
 
 
-def test_a_slider_moves_its_part_and_changes_the_picture(window: Window) -> None:
-    first, door = window.as_at_first(), layers.rgb("#4477aa")
-    slider = window.tab.get_by_role("slider").first
-    slider.focus()
-    slider.press("End")
-    window.tab.wait_for_selector("text=made for these joint values in")
-    second, seen = window.other_than(first), window.there.session.seen
-    assert seen is not None
-    assert seen.state is None
-    np.testing.assert_allclose(seen.q, [1.57, 0.785, 0.0])
-    np.testing.assert_allclose(
-        seen.instance.part_motion[1][:3, :3], rotation_about([0, 0, 1], 1.57), atol=1e-6
-    )
-    shut, wide = where(first, door), where(second, door)
-    assert min(len(shut), len(wide)) > 300
-    assert np.linalg.norm(shut.mean(axis=0) - wide.mean(axis=0)) > 0.03 * len(first)
-    slider.press("Home")
-    window.tab.wait_for_selector("text=state 0, as it is stored")
-    window.picture(lambda now: np.array_equal(now, first))
-    assert window.faults == []
-
-
 def assert_fills(image: np.ndarray) -> None:
     rows, columns = np.nonzero((image < 250).any(axis=2))
     height, width = image.shape[:2]
@@ -156,11 +135,6 @@ def assert_fills(image: np.ndarray) -> None:
     assert columns.min() > 0
     assert columns.max() < width - 1
     assert max(np.ptp(rows) / height, np.ptp(columns) / width) > 0.5
-
-
-def test_the_object_fills_the_window_and_nothing_is_cut_off(window: Window) -> None:
-    assert_fills(window.as_at_first())
-    assert window.faults == []
 
 
 def test_on_a_phone_the_object_stands_above_the_controls(chromium: Any, cabinet: Served) -> None:
@@ -184,19 +158,6 @@ def test_it_is_dark_where_the_system_is(chromium: Any, cabinet: Served) -> None:
     tab.close()
 
 
-def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:
-    window.as_at_first()
-    for name in AT_FIRST:
-        window.toggle(name)
-    blank = window.picture(lambda now: (now == 255).all())
-    for name in LAYERS:
-        window.toggle(name)
-        window.other_than(blank)
-        window.toggle(name)
-        window.picture(lambda now: (now == 255).all())
-    assert window.faults == []
-
-
 def test_hostile_names_are_text_and_many_objects_no_trouble(viser, chromium, tmp_path):
     few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
     recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})
@@ -215,6 +176,46 @@ def test_hostile_names_are_text_and_many_objects_no_trouble(viser, chromium, tmp
         assert there.session.fault == ""
         assert window.faults == []
         tab.close()
+
+
+def test_the_object_fills_the_window_and_nothing_is_cut_off(window: Window) -> None:
+    assert_fills(window.as_at_first())
+    assert window.faults == []
+
+
+def test_a_slider_moves_its_part_and_changes_the_picture(window: Window) -> None:
+    first, door = window.as_at_first(), layers.rgb("#4477aa")
+    slider = window.tab.get_by_role("slider").first
+    slider.focus()
+    slider.press("End")
+    window.tab.wait_for_selector("text=made for these joint values in")
+    second, seen = window.other_than(first), window.there.session.seen
+    assert seen is not None
+    assert seen.state is None
+    np.testing.assert_allclose(seen.q, [1.57, 0.785, 0.0])
+    np.testing.assert_allclose(
+        seen.instance.part_motion[1][:3, :3], rotation_about([0, 0, 1], 1.57), atol=1e-6
+    )
+    shut, wide = where(first, door), where(second, door)
+    assert min(len(shut), len(wide)) > 300
+    assert np.linalg.norm(shut.mean(axis=0) - wide.mean(axis=0)) > 0.03 * len(first)
+    slider.press("Home")
+    window.tab.wait_for_selector("text=state 0, as it is stored")
+    window.picture(lambda now: np.array_equal(now, first))
+    assert window.faults == []
+
+
+def test_each_toggle_draws_something_and_takes_it_away(window: Window) -> None:
+    window.as_at_first()
+    for name in AT_FIRST:
+        window.toggle(name)
+    blank = window.picture(lambda now: (now == 255).all())
+    for name in LAYERS:
+        window.toggle(name)
+        window.other_than(blank)
+        window.toggle(name)
+        window.picture(lambda now: (now == 255).all())
+    assert window.faults == []
 
 
 def of(there: Served) -> str | None:
