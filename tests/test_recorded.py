@@ -1,6 +1,8 @@
 """Recordings in their published layouts: bundled laptops on a table, seen by our cameras."""
 
 import re
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
@@ -267,8 +269,12 @@ def recorded(request, tmp_path_factory) -> Recorded:
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory) -> Scene:
-    return scene(tmp_path_factory.mktemp("plain"), 3, LAYOUTS["aod"][1])
+def copied(tmp_path_factory) -> Callable[[str], Path]:
+    """Makes a copy of a layout's recording, to do harm to: its sequence."""
+    root = tmp_path_factory.mktemp("whole")
+    made = scene(root, 3, LAYOUTS["aod"][1])
+    paths = {n: write(made, root / n).relative_to(root / n) for n, (write, _) in LAYOUTS.items()}
+    return lambda n: shutil.copytree(root / n, tmp_path_factory.mktemp(n) / n) / paths[n]
 
 
 def test_a_recording_is_read_as_it_was_made(recorded):
@@ -369,9 +375,8 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
         ("opalign", "0001/*/*.npz", "", "", "00.npz: no view of a laptop"),
     ],
 )
-def test_what_is_broken_is_refused_in_a_sentence(layout, name, old, new, reason, tmp_path, plain):
-    write, _ = LAYOUTS[layout]
-    folder = write(plain, tmp_path)
+def test_what_is_broken_is_refused_in_a_sentence(layout, name, old, new, reason, copied):
+    folder = copied(layout)
     if name.endswith((".png", ".npz")):
         next(folder.glob(name)).write_bytes(b"\x89PNG\r\n\x1a\n")
     else:
@@ -389,15 +394,15 @@ def test_a_name_that_is_no_time_is_refused(seconds, tmp_path):
         read_recording(folder, 10)
 
 
-def test_an_image_of_nothing_near_has_no_points_of_parts(tmp_path, plain):
-    folder = write_rbo(plain, tmp_path)
+def test_an_image_of_nothing_near_has_no_points_of_parts(copied):
+    folder = copied("rbo")
     path = min(folder.glob("camera_depth*/*.txt"))
     path.write_text("\n".join(["900 " * 640] * 480))
     assert set(read_recording(folder, 10).frames[0].part) == {BACKGROUND}
 
 
-def test_images_without_a_part_are_left_out(tmp_path, plain):
-    folder = write_aod(plain, tmp_path)
+def test_images_without_a_part_are_left_out(copied):
+    folder = copied("aod")
     (folder / "info" / "info_00001_001.txt").write_text("")
     recording = read_recording(folder, 10)
     assert len(recording.frames) == FRAMES - 1
