@@ -134,10 +134,8 @@ def write_rbo(made: Scene, root: Path) -> Path:
     (model / "meshes").mkdir(parents=True)
     lines, T_part_marker = [], []
     for part in range(2):
-        to_mesh, angles = (
-            transform(rotation_about([0, 0, 1], 0.3), [0.1, 0, 0]),
-            rng.uniform(-1, 1, 3),
-        )
+        to_mesh = transform(rotation_about([0, 0, 1], 0.3), [0.1, 0, 0])
+        angles = rng.uniform(-1, 1, 3)
         xyz = rng.uniform(-0.1, 0.1, 3)
         turn = [rotation_about(np.eye(3)[k], angles[k]) for k in range(3)]
         to_marker = transform(turn[2] @ turn[1] @ turn[0], xyz)
@@ -360,13 +358,7 @@ def broken(folder: Path, name: str, old: str, new: str) -> None:
         ("rbo", "*_info.csv", ",[1-9][^,]*,0", ",0,0", "no focal lengths and centre"),
         ("rbo", "rb_poses_array.csv", "\n", "\rx\n", "no table"),
         ("rbo", "rb_poses_array.csv", ",5,[^,]*", ",5,1e300", "no image has a pose of every part"),
-        (
-            "rbo",
-            "rb_poses_array.csv",
-            r"(?<=\d),[^,\n]*\n",
-            ",inf\n",
-            "no image has a pose of every part",
-        ),
+        ("rbo", "rb_*.csv", r"(?<=\d),[^,\n]*\n", ",inf\n", "no image has a pose of every part"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nnan", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\n1e300", "no pose"),
         ("aod", "info/*_000.txt", "center:\n[^ ]*", "center:\nx", "no pose"),
