@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from learners import tiny
 
-from articugen.learning.fields import fields_within, grid_centres, reconstruction_of
+from articugen.learning.fields import divided, grid_centres, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
 from articugen.learning.ppd.local import LocalField, Outline, nearest_points
@@ -122,14 +122,25 @@ def test_parts_share_what_lies_in_the_whole():
     np.testing.assert_array_equal(found.occupied, ball(16) > 0)
     np.testing.assert_array_equal(found.whole, zero_level(ball(16)).triangles)
     assert set(found.part.tolist()) == {0, 1}
-    there, grids = fields_within(Sides(), ball(16))
-    assert there.tolist() == [0, 1]
+    grids = divided(ball(16), Sides()(grid_centres(16)).reshape(3, 16, 16, 16))
     np.testing.assert_allclose(grids.max(0), ball(16))
     assert (grids[0] == ball(16))[ball(16) < -3.0].all()  # nobody asks whose nothing is
     for part, sign in ((0, 1.0), (1, -1.0)):
         corners = found.triangles[found.part == part].reshape(-1, 3)
         assert (sign * (corners[:, 0] - 0.1)).min() > -1e-3
         assert np.linalg.norm(corners, axis=1).max() < 0.3 + 1e-3  # of a grid of 64^3
+
+
+@pytest.mark.parametrize("steepness", [1.0, 50.0])
+def test_outside_of_all_parts_the_nearest_decides_however_steep_fields_are(steepness):
+    x = grid_centres(32).double().numpy()
+    away = [np.linalg.norm(x - c, axis=1) - r for c, r in (((-0.2, 0, 0), 0.2), ((0.2, 0, 0), 0.1))]
+    grids = np.stack([-away[0], -steepness * away[1], np.full(len(x), -0.01)])
+    grids = divided(np.ones((32, 32, 32)), grids.reshape(3, 32, 32, 32)).reshape(3, -1)
+    clear = abs(away[0] - away[1]) > 1 / 32
+    np.testing.assert_array_equal(grids.argmax(0)[clear], np.argmin(away, axis=0)[clear])
+    nobody = divided(np.ones((4, 4, 4)), np.full((2, 4, 4, 4), -1.0))
+    assert (nobody == 1.0).all()  # where no part is anywhere, none is the nearest
 
 
 def test_it_learns_beside_all_else_which_stays_the_same_and_goes_on_where_it_was(boxes, tmp_path):

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
+from articugen.evaluation.metrics import nearest_part
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import BatchSpec
@@ -69,16 +70,15 @@ def reconstruction_of(
         meshes: what makes the surfaces; `meshes_of_greatest` if not given.
         looked_for, dense: see `fields_near_surfaces`.
         whole: gives (R, R, R), above 0 inside of the object, if that is known better: fields then
-            decide whose each place in there is, and no more. The parts' surfaces are drawn on a
-            grid of `DENSE`^3 at least, since thin things fall between the samples of a coarser
-            one. The surface of the whole is drawn on the grid that was asked for.
+            decide whose each place in there is, see `divided`, and no more. The parts' surfaces
+            are drawn on a grid of `DENSE`^3 at least, since thin things fall between the samples
+            of a coarser one. The surface of the whole is drawn on the grid that was asked for.
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
     drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
+    there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
     if whole:
-        there, grids = fields_within(fields, whole(drawn))
-    else:
-        there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
+        grids = divided(whole(drawn), grids)
     surfaces, outline = meshes(grids)
     inside = grids.max(0)
     if drawn != resolution and whole:
@@ -131,15 +131,23 @@ def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
     return points.split((_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // parts)
 
 
-def fields_within(fields: Fields, whole: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return some parts (k,), and fields (k, R, R, R) of which the greatest is `whole` (R, R, R),
-    that of the part whose `fields` are the greatest there; parts that have nothing are left out."""
+def divided(whole: Floats, grids: Floats) -> Floats:
+    """Return fields (P, R, R, R) of which the greatest is `whole` (R, R, R): that of the part whose
+    field of `grids` (P, R, R, R) is the greatest there or, outside of all parts, of that whose
+    surface is the nearest: how far below 0 a field is says little of how far away its part is."""
     near = np.flatnonzero((whole > 0.0) | beside_surfaces(whole[None]))
-    values = fields(voxel_centres(torch.from_numpy(near), len(whole)))
-    there = np.unique(values.argmax(0)) if len(near) else np.zeros(1, np.int64)
-    grids = np.repeat(whole[None], len(there), axis=0)
-    grids.reshape(len(there), -1)[:, near] += (values - values.max(0, initial=-np.inf))[there]
-    return there, grids
+    values = grids.reshape(len(grids), -1)[:, near]
+    surfaces, _ = meshes_of_greatest(grids)
+    outside = np.flatnonzero(values.max(0) <= 0.0)
+    if any(map(len, surfaces)) and len(outside):
+        part = np.repeat(np.arange(len(grids)), list(map(len, surfaces)))
+        at = voxel_centres(torch.from_numpy(near[outside]), len(whole)).double().numpy()
+        owner = nearest_part(at, np.concatenate(surfaces), part, len(grids))
+        values[:, outside] = -1.0
+        values[owner, outside] = 0.0
+    shared = np.repeat(whole[None], len(grids), axis=0)
+    shared.reshape(len(grids), -1)[:, near] += values - values.max(0, initial=-np.inf)
+    return shared
 
 
 def fields_near_surfaces(

@@ -55,7 +55,7 @@ def reconstruction_of(
     T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
     return fields.reconstruction_of(
-        partial(logits_at, model, predicted, bounded=whole is None),
+        partial(logits_at, model, predicted),
         J + 1,
         resolution,
         meshes=meshes,
@@ -89,16 +89,14 @@ def logits_at(
     predicted: Prediction,
     points: Tensor,
     parts: NDArray[np.int64] | None = None,
-    *,
-    bounded: bool = True,
 ) -> Floats:
     """Return (P, n): the field of each part, or of these `parts`, at points (n, 3), before the
-    sigmoid; if `bounded`, below 0 far outside of the part's box, where it has one."""
+    sigmoid; below 0 far outside of the part's box, where it has one."""
     inverse = model.motion(predicted.pose)
     points = points.to(inverse.offset)
     numbers = torch.arange(model.settings.parts) if parts is None else torch.from_numpy(parts)
     numbers = numbers.to(points.device)
-    if not predicted.shape.box or not bounded:
+    if not predicted.shape.box:
         field = _field(model.shape, predicted.shape, inverse, points, numbers)
     else:
         field = points.new_full((len(numbers), len(points)), _NOWHERE)
