@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from functools import partial
 from threading import Barrier
+from time import sleep
 
 import numpy as np
 import pytest
@@ -61,24 +62,38 @@ def test_the_truth_scores_full_marks(boxes):
 
 
 def test_objects_at_a_time_change_nothing(boxes):
-    both, names, jostled = Barrier(2), [], iter(np.random.default_rng(0).normal(0.0, 0.05, 99))
-    wrong = {i.object_id + str(i.state_index): next(jostled) for o in all_of(boxes) for i in o}
+    both, names, rng = Barrier(2), [], np.random.default_rng(0)
+    objects = [*objects_of(boxes, "train", 0), *objects_of(boxes, "test", None)]
+    wrong = {(i.object_id, i.state_index): rng.normal(0.0, 0.05) for o in objects for i in o}
+
+    def shifted(instance):
+        found, by = exactly(instance), wrong[instance.object_id, instance.state_index]
+        return replace(found, triangles=found.triangles + by, whole=found.whole + by)
 
     def beside_another(instance):
         both.wait(30)
         return shifted(instance)
-
-    def shifted(instance):
-        found, by = exactly(instance), wrong[instance.object_id + str(instance.state_index)]
-        return replace(found, triangles=found.triangles + by, whole=found.whole + by)
 
     result = evaluate(boxes, beside_another, FEW, jobs=2, on_object=names.append)
     assert result == evaluate(boxes, shifted, FEW)
     assert names == ["box-0", "box-1", "box-2", "box-3"]
 
 
-def all_of(boxes):
-    return [*objects_of(boxes, "train", 0), *objects_of(boxes, "test", None)]
+def test_after_an_error_no_other_object_goes_on(boxes):
+    both, asked = Barrier(2), []
+
+    def fails(instance):
+        if instance.state_index == 0:
+            both.wait(30)
+        asked.append((instance.object_id, instance.state_index))
+        if instance.object_id == "box-2":
+            raise ZeroDivisionError
+        sleep(0.5 * (instance.object_id == "box-3"))
+        return exactly(instance)
+
+    with pytest.raises(ZeroDivisionError):
+        evaluate(boxes, fails, FEW, jobs=2)
+    assert sorted(asked) == [(f"box-{k}", 0) for k in range(4)]
 
 
 def test_labels_are_told_by_a_finer_grid_as_well(boxes):

@@ -14,6 +14,7 @@ from articugen.learning.fields import divided, grid_centres, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
 from articugen.learning.ppd.local import LocalField, Outline, nearest_points
+from articugen.meshes.marching_cubes import zero_level
 
 COORDINATES = st.floats(-0.5, 0.5, width=32).map(lambda x: round(x, 3))
 
@@ -22,8 +23,6 @@ def clouds(least, most):
     return hnp.arrays(np.float32, st.tuples(st.just(2), st.integers(least, most), st.just(3)),
                       elements=COORDINATES)  # fmt: skip
 
-
-from articugen.meshes.marching_cubes import zero_level
 
 TINY = tiny(
     {"surface_points": 400, "uniform_points": 60, "near_points": 60, "grid_points": 0}, (4, 20),

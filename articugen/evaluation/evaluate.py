@@ -8,7 +8,10 @@ not to move; distances to what is missing count as the unit cube's diagonal.
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import takewhile
 from pathlib import Path
+from threading import Event
 from typing import TypeVar
 
 import numpy as np
@@ -64,7 +67,7 @@ def evaluate(
     check_splits(data, category, on)
     votes = label_votes(data, reconstruct, protocol, jobs, on_object)
 
-    def measured(instances: list[Instance]) -> Tally:
+    def measured(instances: Iterable[Instance]) -> Tally:
         tally = measures(protocol, *votes, objects=1)
         first: Canonical = None
         for instance in instances:
@@ -118,7 +121,7 @@ def label_votes(
     """Return (P, K) the votes of the training objects' canonical instances, summed, and those of
     all instances if the protocol asks for them; K parts of the object that has most."""
 
-    def cast(instances: list[Instance]) -> list[Floats]:
+    def cast(instances: Iterable[Instance]) -> list[Floats]:
         return [_votes(instance, reconstruct(instance), protocol) for instance in instances]
 
     of_all = protocol.label_poses == "all"
@@ -142,14 +145,17 @@ def _votes(instance: Instance, predicted: Reconstruction, protocol: Protocol) ->
 
 
 def _side_by_side(
-    work: Callable[[list[Instance]], _T], objects: Iterable[list[Instance]], jobs: int
+    work: Callable[[Iterable[Instance]], _T], objects: Iterable[list[Instance]], jobs: int
 ) -> Iterator[tuple[list[Instance], _T]]:
     """Yield each object and what `work` makes of it, in order; `jobs` at a time, no more of which
-    are in memory than that needs."""
+    are in memory than that needs. After an error, or Ctrl-C, no further instance is begun."""
     coming: deque[tuple[list[Instance], Future[_T]]] = deque()
-    with ThreadPoolExecutor(jobs) as pool:
+    stop = Event()
+    with ThreadPoolExecutor(jobs) as pool, ExitStack() as at_the_end:
+        at_the_end.callback(stop.set)
         for instances in objects:
-            coming.append((instances, pool.submit(work, instances)))
+            unless_stopped = takewhile(lambda _: not stop.is_set(), instances)
+            coming.append((instances, pool.submit(work, unless_stopped)))
             if len(coming) > jobs:
                 some, future = coming.popleft()
                 yield some, future.result()

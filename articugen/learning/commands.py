@@ -188,9 +188,8 @@ def evaluate(
     finer, resolution = None if resolution else by.finer, resolution or by.resolution
     measure = partial(
         by.evaluate, Path(data),
-        protocol=Protocol(
-            label_poses=label_poses, states=states, occupancy=point.recipe.data.occupancy
-        ),
+        protocol=Protocol(label_poses=label_poses, states=states,
+                          occupancy=point.recipe.data.occupancy),
         category=point.category, on=None if on is None else Path(on),
         jobs=jobs or default_jobs(), on_object=on_object,
     )  # fmt: skip

@@ -143,8 +143,7 @@ def divided(whole: Floats, grids: Floats) -> Floats:
         part = np.repeat(np.arange(len(grids)), list(map(len, surfaces)))
         at = voxel_centres(torch.from_numpy(near[outside]), len(whole)).double().numpy()
         owner = nearest_part(at, np.concatenate(surfaces), part, len(grids))
-        values[:, outside] = -1.0
-        values[owner, outside] = 0.0
+        values[:, outside] = -1.0 * (np.arange(len(grids))[:, None] != owner)
     shared = np.repeat(whole[None], len(grids), axis=0)
     shared.reshape(len(grids), -1)[:, near] += values - values.max(0, initial=-np.inf)
     return shared

@@ -85,10 +85,7 @@ def _in_boxes(model: PPD, code: ShapeCode, box: PartBox) -> Floats:
 
 @torch.no_grad()
 def logits_at(
-    model: PPD,
-    predicted: Prediction,
-    points: Tensor,
-    parts: NDArray[np.int64] | None = None,
+    model: PPD, predicted: Prediction, points: Tensor, parts: NDArray[np.int64] | None = None
 ) -> Floats:
     """Return (P, n): the field of each part, or of these `parts`, at points (n, 3), before the
     sigmoid; below 0 far outside of the part's box, where it has one."""

@@ -220,8 +220,7 @@ class PPDRecipe(TrainRecipe):
             )
         if self.model.local_points and self.data.surface_points < NEIGHBOURS:
             raise ValueError(
-                f"model.local_points needs data.surface_points of {NEIGHBOURS} or more; or set it "
-                "to 0"
+                f"model.local_points: 0, or data.surface_points of {NEIGHBOURS} or more"
             )
         if self.vary and not self.warm_start.share:
             raise ValueError(
