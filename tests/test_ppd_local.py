@@ -7,7 +7,6 @@ from digests import resumed_exactly
 from few import FEW
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from learners import tiny
 
 from articugen.learning.fields import divided, grid_centres, reconstruction_of
@@ -15,14 +14,6 @@ from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
 from articugen.learning.ppd.local import LocalField, Outline, nearest_points
 from articugen.meshes.marching_cubes import zero_level
-
-COORDINATES = st.floats(-0.5, 0.5, width=32).map(lambda x: round(x, 3))
-
-
-def clouds(least, most):
-    return hnp.arrays(np.float32, st.tuples(st.just(2), st.integers(least, most), st.just(3)),
-                      elements=COORDINATES)  # fmt: skip
-
 
 TINY = tiny(
     {"surface_points": 400, "uniform_points": 60, "near_points": 60, "grid_points": 0}, (4, 20),
@@ -32,8 +23,13 @@ LOCAL = TINY.model_copy(update={"model": TINY.model.model_copy(update={"local_po
 
 
 @FEW
-@given(clouds(16, 300), clouds(1, 4))
-def test_neighbours_are_the_nearest_of_the_first_points(cloud, places):
+@given(st.integers(16, 300), st.integers(1, 4), st.integers(1, 3), st.integers(0, 2**32 - 1))
+def test_neighbours_are_the_nearest_of_the_first_points(points, places, digits, seed):
+    """Many are equally far, where coordinates have one digit."""
+    rng = np.random.default_rng(seed)
+    cloud, places = (
+        rng.uniform(-0.5, 0.5, (2, n, 3)).round(digits).astype(np.float32) for n in (points, places)
+    )
     n = cloud.shape[1]
     near = nearest_points(torch.tensor(cloud), torch.tensor(places)).numpy()
     firsts = min(32, n), max(n // 8, min(32, n)), n
