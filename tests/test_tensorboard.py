@@ -1,7 +1,6 @@
 """What TensorBoard reads is what the JSON lines say, also after a resume."""
 
-import itertools
-import time
+import resource
 
 import pytest
 
@@ -9,6 +8,7 @@ pytest.importorskip("tensorboard", reason="an extra")
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from articugen.core.errors import MachineFault
 from articugen.learning import run_folder
 from articugen.learning.run_folder import METRICS, RunFolder
 
@@ -25,9 +25,7 @@ def records(first: int, last: int, shift: float = 0.0) -> list[dict]:
     ] + [{"iteration": last, "validation": {"iou": 0.25 + shift}}]
 
 
-def test_tensorboard_shows_the_json_lines(tmp_path, monkeypatch):
-    clock = itertools.count(1_000_000_000)  # files are read in the order of the seconds they name
-    monkeypatch.setattr(time, "time", lambda: float(next(clock)))
+def test_tensorboard_shows_the_json_lines(tmp_path):
     run = RunFolder(tmp_path)
     with run.metrics_from(0) as log:
         for record in records(1, 4, shift=9.0):
@@ -46,6 +44,19 @@ def test_tensorboard_shows_the_json_lines(tmp_path, monkeypatch):
     for tag, points in wanted.items():
         told = [(event.step, event.value) for event in shown.Scalars(tag)]
         assert told == [(step, pytest.approx(value)) for step, value in points], tag
+
+
+def test_a_disk_that_is_full_is_one_error_and_no_traceback_of_a_thread(tmp_path, capfd):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with RunFolder(tmp_path).metrics_from(0) as log:
+            size = max(path.stat().st_size for path in tmp_path.iterdir())
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size + 20, before[1]))
+            with pytest.raises(MachineFault, match=r"tfevents\S+: not written"):
+                log({"iteration": 1, "learning_rate": 0.5})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert capfd.readouterr().err == ""
 
 
 def test_without_it_the_json_lines_are_all(tmp_path, monkeypatch):

@@ -11,9 +11,11 @@ and the winner's metrics and checkpoints are the run's.
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -335,24 +337,37 @@ class RunFolder:
 @contextmanager
 def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None]]:
     """Yield what appends the numbers of a record for TensorBoard, by the names they have there;
-    what was written of iterations later than `after` is dropped."""
+    what was written of iterations later than `after` is dropped.
+
+    TensorBoard's own writer would write from a thread, whose faults end in a traceback.
+    """
     if not find_spec("tensorboard"):
         yield lambda _: None
         return
-    from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - takes a second
+    from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415 - an extra
 
-    with writing(folder):
-        writer = SummaryWriter(str(folder), purge_step=after + 1)
+    events = import_module("tensorboard.compat.proto.event_pb2")
+    summaries = import_module("tensorboard.compat.proto.summary_pb2")
+
+    seconds, rest = divmod(time.time_ns(), 10**9)  # files are read in the order of their names
+    path = folder / f"events.out.tfevents.{seconds:010d}.{rest:09d}.{os.getpid()}"
+
+    def append(**event: Any) -> None:
+        with writing(path):
+            writer.write(events.Event(wall_time=time.time(), **event).SerializeToString())
+            writer.flush()  # a process that is killed leaves no gap in the curve
 
     def add(record: dict[str, Any]) -> None:
         numbers = {f"{g}/{n}": x for g in GROUPS for n, x in record.get(g, {}).items()}
         numbers |= {n: record[n] for n in ("learning_rate",) if n in record}
-        with writing(folder):
-            for name, value in numbers.items():
-                writer.add_scalar(name, value, record["iteration"])
-            writer.flush()  # a process that is killed leaves no gap in the curve
+        values = [summaries.Summary.Value(tag=name, simple_value=x) for name, x in numbers.items()]
+        append(step=record["iteration"], summary=summaries.Summary(value=values))
 
+    with writing(path):
+        writer = RecordWriter(path.open("xb"))
     try:
+        append(file_version="brain.Event:2")
+        append(step=after + 1, session_log=events.SessionLog(status=events.SessionLog.START))
         yield add
     finally:
         with suppress(OSError):  # where the disk is full the JSON lines are what says so
