@@ -1,14 +1,7 @@
 """The joints of an object, found from several poses of it, or those that objects of a category
 share, from one pose of each; without labels."""
 
-from articugen.discovery.discover import (
-    KINDS,
-    LEAN,
-    Directions,
-    Discovery,
-    FoundJoint,
-    discover,
-)
+from articugen.discovery.discover import KINDS, LEAN, Directions, Discovery, FoundJoint, discover
 from articugen.discovery.ownership import Ownership, assign_material
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
 

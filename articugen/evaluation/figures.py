@@ -14,13 +14,7 @@ from articugen.evaluation.reconstruction import Reconstruction
 from articugen.evaluation.results import Evaluation
 from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.layout import GREY, Caption, Row, in_columns, save, sheet
-from articugen.pictures.portrait import (
-    best_azimuth,
-    pooled,
-    portrait,
-    solid_portrait,
-    tile_camera,
-)
+from articugen.pictures.portrait import best_azimuth, pooled, portrait, solid_portrait, tile_camera
 from articugen.pictures.solids import ColouredMesh, arrow
 
 Reconstruct = Callable[[Floats], Reconstruction]

@@ -9,12 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from articugen.evaluation import paper
-from articugen.evaluation.results import (
-    EvaluatedRun,
-    Evaluation,
-    JointLine,
-    RunEvaluation,
-)
+from articugen.evaluation.results import EvaluatedRun, Evaluation, JointLine, RunEvaluation
 
 OTHER_DATA = """\
 The paper's rows were measured on other data: a yardstick, not the same test. Failed

@@ -175,12 +175,7 @@ def _count_sides(maps, normals, ways, shown):
 
 
 def solidified(
-    mesh: LabelledMesh,
-    where: Probes,
-    free: Bools,
-    shown: Indices,
-    thickness: float,
-    solid: Bools,
+    mesh: LabelledMesh, where: Probes, free: Bools, shown: Indices, thickness: float, solid: Bools
 ) -> tuple[LabelledMesh, Bools, Indices]:
     """Return the mesh with its sheets thickened and its faces turned outwards.
 

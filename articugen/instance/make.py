@@ -12,14 +12,7 @@ from articugen import fusion
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.backends import backend_named
 from articugen.core.geometry import bounds
-from articugen.core.records import (
-    FREE,
-    JointKind,
-    LabelledMesh,
-    dequantize,
-    is_material,
-    quantize,
-)
+from articugen.core.records import FREE, JointKind, LabelledMesh, dequantize, is_material, quantize
 from articugen.core.schema import Instance
 from articugen.instance import articulation, sampling
 from articugen.instance.preparing import Grid, Prepared, names_of, pose

@@ -27,14 +27,7 @@ from articugen.learning.data.split import Folders, PackedSplit, folders_of, load
 from articugen.learning.data.windows import OBJECTS, Endless, Windows
 from articugen.learning.method import Learner, find_method
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.run_folder import (
-    BEST,
-    LATEST,
-    META,
-    Checkpoint,
-    RunFolder,
-    read_checkpoint,
-)
+from articugen.learning.run_folder import BEST, LATEST, META, Checkpoint, RunFolder, read_checkpoint
 from articugen.store.manifest import Manifest
 
 

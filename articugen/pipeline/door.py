@@ -90,11 +90,7 @@ def generate(options: Options) -> DataSet:
 
 
 def make(
-    job: Job,
-    *,
-    replace: bool = False,
-    on_object: OnObject = ignore,
-    on_notice: OnNotice = ignore,
+    job: Job, *, replace: bool = False, on_object: OnObject = ignore, on_notice: OnNotice = ignore
 ) -> Manifest:
     """Make one data set of `jobs_of`, or what is missing of it; see `generate`. `on_notice` is
     called with one sentence where a worker was lost, and the like.

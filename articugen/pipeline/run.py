@@ -96,10 +96,7 @@ class Run:
             raise ArticugenError(f"{self.plan.conflict}, or {cure}")
 
     def finish(
-        self,
-        executor: Executor | None,
-        on_object: OnObject = ignore,
-        on_notice: OnNotice = ignore,
+        self, executor: Executor | None, on_object: OnObject = ignore, on_notice: OnNotice = ignore
     ) -> Finished:
         """Make the data set, or what is missing of it, and write its manifest, which lists a
         `shortfall`, if any; of a share, make what is missing.

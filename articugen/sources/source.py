@@ -236,10 +236,7 @@ class Source:
         return refs
 
     def _refs(
-        self,
-        models: Sequence[Found],
-        category: str,
-        counts: Counts = lambda _: True,
+        self, models: Sequence[Found], category: str, counts: Counts = lambda _: True
     ) -> list[ObjectRef]:
         """Return objects with their splits; those that the category's lists leave out are not."""
         sorted_models = sorted(listing.distinct(models, self.folder), key=lambda f: f.object_id)

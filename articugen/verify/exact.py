@@ -225,11 +225,7 @@ def _fixed_part(rows: Sequence[Instance], _: Recipe) -> Iterator[tuple[int | Non
 InstanceCheck = Callable[[Instance, Recipe], Iterator[str]]
 ObjectCheck = Callable[[Sequence[Instance], Recipe], Iterator[tuple[int | None, str]]]
 
-VALUE_CHECKS: dict[str, InstanceCheck] = {
-    "numbers": _numbers,
-    "counts": _counts,
-    "labels": _labels,
-}
+VALUE_CHECKS: dict[str, InstanceCheck] = {"numbers": _numbers, "counts": _counts, "labels": _labels}
 GEOMETRY_CHECKS: dict[str, InstanceCheck] = {
     "normals": _normals,
     "joint range": _joint_range,

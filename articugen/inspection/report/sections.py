@@ -12,13 +12,7 @@ from articugen.core.colours import colour_of
 from articugen.core.records import JointKind
 from articugen.core.tables import counted, duration, size
 from articugen.inspection.likeness import Likeness, rows
-from articugen.inspection.report.facts import (
-    Facts,
-    JointStates,
-    ObjectFacts,
-    PartSize,
-    spread_text,
-)
+from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, PartSize, spread_text
 
 from articugen.inspection.report.markup import (  # isort: skip
     MOST_ROWS, SPACE, Markup, card, dot, el, folded, hint, histogram, join, keys, share_bar, table,

@@ -385,11 +385,7 @@ def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
 
 
 def _grid(
-    shard: Shard,
-    resolution: int,
-    names: NDArray[Any],
-    surface: NDArray[np.uint16],
-    spec: BatchSpec,
+    shard: Shard, resolution: int, names: NDArray[Any], surface: NDArray[np.uint16], spec: BatchSpec
 ) -> NDArray[np.uint8]:
     """Return (n, R, R, R) such labels; somewhere every instance is occupied."""
     grid = shard.read(f"occupancy_{resolution}")

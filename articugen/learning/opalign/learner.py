@@ -6,11 +6,7 @@ from torch import Tensor
 
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats, JointKind
-from articugen.evaluation.reconstruction import (
-    PartJoints,
-    Reconstruction,
-    labelled_points,
-)
+from articugen.evaluation.reconstruction import PartJoints, Reconstruction, labelled_points
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.cpu.batches import gather_points
 from articugen.learning.data.batch import Batch, BatchSpec

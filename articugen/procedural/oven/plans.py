@@ -223,15 +223,7 @@ _CAST_IRON = {  # a heavy cooker: four doors, of which one opens, and lidded hot
     "feet": "plinth", "look": "solid", "stove": "lids",
 }
 # fmt: on
-KINDS = (
-    *(_RANGE,) * 3,
-    _PROFESSIONAL,
-    _RETRO,
-    _BUILT_IN,
-    _DOUBLE,
-    *(_TOASTER,) * 2,
-    _CAST_IRON,
-)
+KINDS = (*(_RANGE,) * 3, _PROFESSIONAL, _RETRO, _BUILT_IN, _DOUBLE, *(_TOASTER,) * 2, _CAST_IRON)
 
 # fmt: off
 _TALL = {  # an oven low in a tower or high over drawers, as fitted kitchens have

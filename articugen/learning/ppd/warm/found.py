@@ -50,10 +50,7 @@ _Clouds = tuple[NDArray[np.int16], NDArray[np.int8]]
 
 
 def discovered(
-    training: PackedSplit,
-    beside: Path,
-    directions: Directions,
-    notify: Notify = lambda _: None,
+    training: PackedSplit, beside: Path, directions: Directions, notify: Notify = lambda _: None
 ) -> tuple[Found, list[NDArray[np.intp]]]:
     """Return what moves in each object, and the instances that are its poses, at most `MOST_POSES`.
 
