@@ -1,11 +1,18 @@
 """Solids as convex pieces, against shapes whose pieces are known; how well pieces fill a solid."""
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
+from few import FEW
+from hypothesis import given
+from hypothesis import strategies as st
+from manifold3d import Manifold
 from shapes import box
 
 from articugen.core.records import Mesh
+from articugen.meshes import convex
 from articugen.meshes.convex import agreement, convex_pieces
 from articugen.meshes.simpler import hull
 
@@ -105,3 +112,51 @@ def test_a_mesh_that_is_not_watertight_is_its_hull_and_none_is_nothing() -> None
     assert agreement(open_one, [piece])[0] == 0.0
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     assert convex_pieces(nothing) == ()
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.01, 0.5))
+@FEW
+def test_pieces_are_joined_as_if_every_pair_was_measured(seed: int, share: float) -> None:
+    """Bounds only put off what need not be measured: the cheapest pair is joined, again and
+    again."""
+    pieces = [_piece(low, high) for low, high in boards(np.random.default_rng(seed))]
+    spare = share * sum(piece.volume for piece in pieces)
+    joined = convex._joined(pieces, spare)
+    assert sorted(hull.volume() for hull in joined) == pytest.approx(
+        sorted(hull.volume() for hull in joined_naively(pieces, spare)), abs=1e-12
+    )
+
+
+def boards(rng: np.random.Generator, count: int = 8) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes that a cube is cut into, again and again, without two of them, and with gaps."""
+    boxes = [(np.zeros(3), np.ones(3))]
+    while len(boxes) < count:
+        low, high = boxes.pop(rng.integers(len(boxes)))
+        axis, at = rng.integers(3), rng.uniform(0.2, 0.8)
+        middle = low[axis] + at * (high - low)[axis]
+        boxes += [(low, np.where(np.arange(3) == axis, middle, high))]
+        boxes += [(np.where(np.arange(3) == axis, middle, low), high)]
+    return [(low, low + rng.uniform(0.8, 1.0, 3) * (high - low)) for low, high in boxes[2:]]
+
+
+def joined_naively(pieces: list, spare: float) -> list[Manifold]:
+    hulls = [(piece.hull, [k], piece.excess) for k, piece in enumerate(pieces)]
+    while True:
+        best, cheapest = None, spare
+        for one, other in itertools.combinations(hulls, 2):
+            hull, both = Manifold.batch_hull([one[0], other[0]]), one[1] + other[1]
+            volume = sum(pieces[k].volume for k in both)
+            among = [pieces[k].solid for k in range(len(pieces)) if k not in both]
+            excess = hull.volume() - volume - sum((hull ^ solid).volume() for solid in among)
+            more = max(excess, 0.0) - one[2] - other[2]
+            if hull.volume() < 2.0 * volume and more <= cheapest:
+                best, cheapest = (one, other, (hull, both, max(excess, 0.0))), more
+        if best is None:
+            return [hull for hull, _, _ in hulls]
+        spare -= max(cheapest, 0.0)
+        hulls = [hull for hull in hulls if hull is not best[0] and hull is not best[1]] + [best[2]]
+
+
+def _piece(low: np.ndarray, high: np.ndarray) -> convex._Piece:
+    solid = Manifold.cube(high - low).translate(low)
+    return convex._Piece(solid, solid.hull(), solid.volume(), 0.0)

@@ -40,6 +40,17 @@ class _Piece(NamedTuple):
     excess: float
 
 
+class _Pair(NamedTuple):
+    """The hull of two hulls, which pieces both stand for, and what it holds besides any pieces: at
+    least, while `unknown` ones are left, of which it may hold up to `most` (P,)."""
+
+    hull: Manifold
+    both: Bools
+    excess: float
+    unknown: list[int]
+    most: Floats
+
+
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Return convex meshes of at most 64 vertices that together fill about the space of a
     watertight `mesh`, and of what it encloses; of another mesh its hull, if it has one."""
@@ -177,24 +188,34 @@ def _joined(pieces: Sequence[_Piece], spare: float) -> list[Manifold]:
     than the volume `spare` of what is in no piece."""
     volumes = np.array([piece.volume for piece in pieces])
     boxes = np.array([piece.solid.bounding_box() for piece in pieces])
+    work = np.array([piece.solid.num_tri() + 100 for piece in pieces])  # of a cut through each
     number = count(len(pieces))
     # hulls, the pieces that they stand for, and what they hold besides any pieces
     alive = {k: (p.hull, np.arange(len(pieces)) == k, p.excess) for k, p in enumerate(pieces)}
-    heap: list[tuple[float, int, int, bool, Manifold, Bools, float]] = []
+    # of two hulls, the least that the hull of both holds besides: that of larger ones holds more
+    least: dict[tuple[int, int], float] = {}
+    heap: list[tuple[float, int, int, _Pair]] = []
 
-    def queue(i: int, j: int, exact: bool, hull: Manifold, both: Bools, excess: float) -> None:
-        more = max(excess, 0.0) - alive[i][2] - alive[j][2]
+    def queue(i: int, j: int, pair: _Pair) -> None:
+        least[i, j] = max(least[i, j], pair.excess)
+        more = least[i, j] - alive[i][2] - alive[j][2]
         if more <= spare:
-            heapq.heappush(heap, (more, i, j, exact, hull, both, excess))
+            heapq.heappush(heap, (more, i, j, pair))
 
-    def consider(i: int, others: Iterable[int]) -> None:
-        """Queue hull i with each, by the least that the hull of both can hold besides."""
+    def consider(i: int, others: Iterable[int], within: Sequence[int] = ()) -> None:
+        """Queue hull i, which holds those `within`, with each, by the least that the hull of both
+        can hold besides."""
         for j in others:
+            least[i, j] = max(least.get((max(k, j), min(k, j)), 0.0) for k in (*within, i))
+            if least[i, j] - alive[i][2] - alive[j][2] > spare:
+                continue
             hull, both = Manifold.batch_hull([alive[i][0], alive[j][0]]), alive[i][1] | alive[j][1]
             volume = volumes[both].sum()
             rest = hull.volume() - volume
             if rest < volume:  # others take long to be examined, and are rarely joined
-                queue(i, j, False, hull, both, rest - shared(hull, both).sum())
+                most = shared(hull, both)
+                unknown = [int(k) for k in np.argsort(most / work, kind="stable") if most[k]]
+                queue(i, j, _Pair(hull, both, rest - most.sum(), unknown, most))
 
     def shared(hull: Manifold, besides: Bools) -> Floats:
         """Return the most that a hull can hold of pieces, by their boxes; 0 of those `besides`."""
@@ -205,17 +226,17 @@ def _joined(pieces: Sequence[_Piece], spare: float) -> list[Manifold]:
     for i in alive:
         consider(i, range(i))
     while heap:
-        more, i, j, exact, hull, both, excess = heapq.heappop(heap)
+        more, i, j, pair = heapq.heappop(heap)
         if i not in alive or j not in alive or more > spare:
             continue
-        if exact:
-            spare -= max(more, 0.0)
-            del alive[i], alive[j]
-            others, new = list(alive), next(number)
-            alive[new] = hull, both, max(excess, 0.0)
-            consider(new, others)
-        else:
-            parts = (pieces[int(k)].solid for k in np.flatnonzero(shared(hull, both)))
-            known = volumes[both].sum() + sum((hull ^ part).volume() for part in parts)
-            queue(i, j, True, hull, both, hull.volume() - known)
+        if pair.unknown:
+            k = pair.unknown[-1]
+            excess = pair.excess + pair.most[k] - (pair.hull ^ pieces[k].solid).volume()
+            queue(i, j, pair._replace(excess=excess, unknown=pair.unknown[:-1]))
+            continue
+        spare -= max(more, 0.0)
+        del alive[i], alive[j]
+        others, new = list(alive), next(number)
+        alive[new] = pair.hull, pair.both, max(pair.excess, 0.0)
+        consider(new, others, within=(i, j))
     return [hull for hull, _, _ in alive.values()]
