@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from learners import tiny
 
-from articugen.learning.fields import divided, grid_centres, reconstruction_of
+from articugen.learning.fields import divided, grid_centres, meshes_of_greatest, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
 from articugen.learning.ppd.local import LocalField, Outline, nearest_points
@@ -117,7 +117,8 @@ def test_parts_share_what_lies_in_the_whole():
     np.testing.assert_array_equal(found.occupied, ball(16) > 0)
     np.testing.assert_array_equal(found.whole, zero_level(ball(16)).triangles)
     assert set(found.part.tolist()) == {0, 1}
-    grids = divided(ball(16), Sides()(grid_centres(16)).reshape(3, 16, 16, 16))
+    sides = Sides()(grid_centres(16)).reshape(3, 16, 16, 16)
+    grids = divided(ball(16), sides, meshes_of_greatest(sides)[0])
     np.testing.assert_allclose(grids.max(0), ball(16))
     assert (grids[0] == ball(16))[ball(16) < -3.0].all()  # nobody asks whose nothing is
     for part, sign in ((0, 1.0), (1, -1.0)):
@@ -126,15 +127,30 @@ def test_parts_share_what_lies_in_the_whole():
         assert np.linalg.norm(corners, axis=1).max() < 0.3 + 1e-3  # of a grid of 64^3
 
 
+def test_points_are_labelled_by_parts_that_the_whole_lacks():
+    def balls(points, parts=slice(None)):
+        away = [(points.double() - torch.tensor([x, 0.0, 0.0])).norm(dim=1) for x in (-0.2, 0.2)]
+        return 5.0 * (0.1 - np.stack(away))[parts]
+
+    def left(resolution):
+        return balls(grid_centres(resolution))[0].reshape(3 * [resolution])
+
+    found = reconstruction_of(balls, 2, 16, whole=left)
+    assert set(found.part.tolist()) == {0}
+    assert found.nearest_part(np.array([[-0.3, 0, 0], [0.2, 0.1, 0]])).tolist() == [0, 1]
+
+
 @pytest.mark.parametrize("steepness", [1.0, 50.0])
 def test_outside_of_all_parts_the_nearest_decides_however_steep_fields_are(steepness):
     x = grid_centres(32).double().numpy()
     away = [np.linalg.norm(x - c, axis=1) - r for c, r in (((-0.2, 0, 0), 0.2), ((0.2, 0, 0), 0.1))]
     grids = np.stack([-away[0], -steepness * away[1], np.full(len(x), -0.01)])
-    grids = divided(np.ones((32, 32, 32)), grids.reshape(3, 32, 32, 32)).reshape(3, -1)
+    grids = grids.reshape(3, 32, 32, 32)
+    surfaces, _ = meshes_of_greatest(grids)
+    grids = divided(np.ones((32, 32, 32)), grids, surfaces).reshape(3, -1)
     clear = abs(away[0] - away[1]) > 1 / 32
     np.testing.assert_array_equal(grids.argmax(0)[clear], np.argmin(away, axis=0)[clear])
-    nobody = divided(np.ones((4, 4, 4)), np.full((2, 4, 4, 4), -1.0))
+    nobody = divided(np.ones((4, 4, 4)), np.full((2, 4, 4, 4), -1.0), [np.zeros((0, 3, 3))] * 2)
     assert (nobody == 1.0).all()  # where no part is anywhere, none is the nearest
 
 

@@ -70,38 +70,51 @@ def reconstruction_of(
         meshes: what makes the surfaces; `meshes_of_greatest` if not given.
         looked_for, dense: see `fields_near_surfaces`.
         whole: gives (R, R, R), above 0 inside of the object, if that is known better: fields then
-            decide whose each place in there is, see `divided`, and no more. The parts' surfaces
-            are drawn on a grid of `DENSE`^3 at least, since thin things fall between the samples
-            of a coarser one. The surface of the whole is drawn on the grid that was asked for.
+            decide whose each place in there is, see `divided`, and label points, which shapes with
+            holes would do worse. The parts' surfaces are drawn on a grid of `DENSE`^3 at least,
+            since thin things fall between the samples of a coarser one. The surface of the whole
+            is drawn on the grid that was asked for.
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
     drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
     there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
-    if whole:
-        grids = divided(whole(drawn), grids)
     surfaces, outline = meshes(grids)
+    labelling = _of_parts(there, surfaces) if whole else None
+    if whole:
+        grids = divided(whole(drawn), grids, surfaces)
+        surfaces, outline = meshes(grids)
     inside = grids.max(0)
     if drawn != resolution and whole:
         inside = whole(resolution)
         outline = meshes(inside[None])[1]
+    triangles, part = _of_parts(there, surfaces)
     return Reconstruction(
-        triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
-        part=np.repeat(there, [len(s) for s in surfaces]),
+        triangles=triangles,
+        part=part,
         whole=outline,
         occupied=inside > 0.0,
         parts=parts,
         T_part=T_part,
         joints=joints,
         is_finer=drawn > resolution,
+        labelling=labelling,
     )
+
+
+def _of_parts(
+    parts: NDArray[np.int64], surfaces: Sequence[Floats]
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the triangles (F, 3, 3) of the parts' surfaces, and whose each is (F,)."""
+    return np.concatenate([_NO_TRIANGLES, *surfaces]), np.repeat(parts, [*map(len, surfaces)])
 
 
 def reconstruction_of_surfaces(surfaces: Sequence[Floats], inside: Floats) -> Reconstruction:
     """Return parts whose triangles (F, 3, 3) are known; `inside` (R, R, R), above 0 there, is drawn
     as the whole."""
+    triangles, part = _of_parts(np.arange(len(surfaces)), surfaces)
     return Reconstruction(
-        triangles=np.concatenate([_NO_TRIANGLES, *surfaces]),
-        part=np.repeat(np.arange(len(surfaces)), [len(s) for s in surfaces]),
+        triangles=triangles,
+        part=part,
         whole=zero_level(inside).triangles,
         occupied=inside > 0.0,
         parts=len(surfaces),
@@ -131,18 +144,17 @@ def in_blocks(points: Tensor, parts: int) -> tuple[Tensor, ...]:
     return points.split((_BLOCK if points.device.type == "cpu" else _LARGE_BLOCK) // parts)
 
 
-def divided(whole: Floats, grids: Floats) -> Floats:
+def divided(whole: Floats, grids: Floats, surfaces: Sequence[Floats]) -> Floats:
     """Return fields (P, R, R, R) of which the greatest is `whole` (R, R, R): that of the part whose
     field of `grids` (P, R, R, R) is the greatest there or, outside of all parts, of that whose
-    surface is the nearest: how far below 0 a field is says little of how far away its part is."""
+    surface (F, 3, 3) of the `surfaces` is the nearest: how far below 0 a field is says little of
+    how far away its part is."""
     near = np.flatnonzero((whole > 0.0) | beside_surfaces(whole[None]))
     values = grids.reshape(len(grids), -1)[:, near]
-    surfaces, _ = meshes_of_greatest(grids)
     outside = np.flatnonzero(values.max(0) <= 0.0)
     if any(map(len, surfaces)) and len(outside):
-        part = np.repeat(np.arange(len(grids)), list(map(len, surfaces)))
         at = voxel_centres(torch.from_numpy(near[outside]), len(whole)).double().numpy()
-        owner = nearest_part(at, np.concatenate(surfaces), part, len(grids))
+        owner = nearest_part(at, *_of_parts(np.arange(len(grids)), surfaces), len(grids))
         values[:, outside] = -1.0 * (np.arange(len(grids))[:, None] != owner)
     shared = np.repeat(whole[None], len(grids), axis=0)
     shared.reshape(len(grids), -1)[:, near] += values - values.max(0, initial=-np.inf)

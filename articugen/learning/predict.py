@@ -16,7 +16,6 @@ from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.evaluation.figures import Names, solid_of
-from articugen.evaluation.metrics import nearest_part
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction, labelled_points
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
@@ -93,7 +92,7 @@ def cut(
         for at in range(0, len(points), _AT_ONCE):
             on_progress(f"cutting: {at:,} of {len(points):,} points")
             some = slice(at, at + _AT_ONCE)
-            part[some] = nearest_part(points[some], shape.triangles, shape.part, shape.parts)
+            part[some] = shape.nearest_part(points[some])
         return part
 
     if cloud.triangles is None:
@@ -112,7 +111,7 @@ def cut(
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         rest = np.concatenate([np.stack(corners, 1) for corners in quarters])
     triangles = np.concatenate([*pieces, rest])
-    return replace(shape, triangles=triangles, part=part_of(triangles.mean(1)))
+    return replace(shape, triangles=triangles, part=part_of(triangles.mean(1)), labelling=None)
 
 
 def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT) -> list[Path]:

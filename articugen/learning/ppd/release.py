@@ -94,6 +94,7 @@ def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Re
         shape,
         triangles=np.repeat(points[:, None], 3, axis=1),
         part=np.repeat([i for i, _ in drawn], count).astype(np.int64),
+        labelling=None,
     )
 
 
