@@ -48,7 +48,7 @@ class Reconstruction:
             every pose, nan of a part that has none; None of a method that knows no motion.
         joints: None of a method that knows none.
         is_finer: whether the surfaces of parts are drawn finer than the grid that was asked for.
-        labelling: surfaces that points are labelled by, where they are others: as `triangles` and `part`.
+        labelling: where other surfaces label points, those, as `triangles` and `part`.
     """
 
     triangles: Floats
