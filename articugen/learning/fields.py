@@ -70,17 +70,18 @@ def reconstruction_of(
         meshes: what makes the surfaces; `meshes_of_greatest` if not given.
         looked_for, dense: see `fields_near_surfaces`.
         whole: gives (R, R, R), above 0 inside of the object, if that is known better: fields then
-            decide whose each place in there is, see `divided`, and label points, which shapes with
-            holes would do worse. The parts' surfaces are drawn on a grid of `DENSE`^3 at least,
-            since thin things fall between the samples of a coarser one. The surface of the whole
-            is drawn on the grid that was asked for.
+            decide whose each place in there is, see `divided`, and their own surfaces label points.
+            The parts' surfaces are drawn on a grid of `DENSE`^3 at least, since thin things fall
+            between the samples of a coarser one. The surface of the whole is drawn on the grid that
+            was asked for.
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
     drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
     there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
     surfaces, outline = meshes(grids)
-    labelling = _of_parts(there, surfaces) if whole else None
+    labelling = None
     if whole:
+        labelling = _of_parts(there, surfaces)
         grids = divided(whole(drawn), grids, surfaces)
         surfaces, outline = meshes(grids)
     inside = grids.max(0)
