@@ -88,10 +88,8 @@ def reconstruction_of(
     if drawn != resolution and whole:
         inside = whole(resolution)
         outline = meshes(inside[None])[1]
-    triangles, part = _of_parts(there, surfaces)
     return Reconstruction(
-        triangles=triangles,
-        part=part,
+        *_of_parts(there, surfaces),
         whole=outline,
         occupied=inside > 0.0,
         parts=parts,
@@ -112,10 +110,8 @@ def _of_parts(
 def reconstruction_of_surfaces(surfaces: Sequence[Floats], inside: Floats) -> Reconstruction:
     """Return parts whose triangles (F, 3, 3) are known; `inside` (R, R, R), above 0 there, is drawn
     as the whole."""
-    triangles, part = _of_parts(np.arange(len(surfaces)), surfaces)
     return Reconstruction(
-        triangles=triangles,
-        part=part,
+        *_of_parts(np.arange(len(surfaces)), surfaces),
         whole=zero_level(inside).triangles,
         occupied=inside > 0.0,
         parts=len(surfaces),
