@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from learners import tiny
 
+from articugen.evaluation.metrics import nearest_part_of
 from articugen.learning.fields import divided, grid_centres, meshes_of_greatest, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
@@ -137,7 +138,7 @@ def test_points_are_labelled_by_parts_that_the_whole_lacks():
 
     found = reconstruction_of(balls, 2, 16, whole=left)
     assert set(found.part.tolist()) == {0}
-    assert found.nearest_part(np.array([[-0.3, 0, 0], [0.2, 0.1, 0]])).tolist() == [0, 1]
+    assert nearest_part_of(found, np.array([[-0.3, 0, 0], [0.2, 0.1, 0]])).tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("steepness", [1.0, 50.0])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats, Ints
 from articugen.core.geometry import apply
+from articugen.evaluation.reconstruction import Reconstruction
 from articugen.meshes.distances import distance
 
 NO_LABEL = -1
@@ -26,6 +27,11 @@ def nearest_part(points: Floats, triangles: Floats, part: Ints, parts: int) -> I
     """
     far = np.stack([distance(points, triangles[part == i]) for i in range(parts)])
     return np.where(np.isfinite(far.min(0)), far.argmin(0), NO_LABEL)
+
+
+def nearest_part_of(shape: Reconstruction, points: Floats) -> Ints:
+    """Return the same by the surfaces by which a shape's points are labelled."""
+    return nearest_part(points, *(shape.labelling or (shape.triangles, shape.part)), shape.parts)
 
 
 def votes(nearest: Ints, true_part: Ints, parts: int, true_parts: int) -> Floats:

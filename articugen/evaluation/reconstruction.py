@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from articugen.core.geometry import invert_rigid, rotation_about, transform
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.evaluation.metrics import nearest_part
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +59,6 @@ class Reconstruction:
     joints: PartJoints | None = None
     is_finer: bool = False
     labelling: tuple[Floats, NDArray[np.int64]] | None = None
-
-    def nearest_part(self, points: Floats) -> NDArray[np.int64]:
-        """Return (n,) the part whose surface is nearest to each point (n, 3); NO_LABEL where none
-        has any."""
-        return nearest_part(points, *(self.labelling or (self.triangles, self.part)), self.parts)
 
     def motion_to(self, posed: "Reconstruction") -> Floats | None:
         """Return how parts moved by their transforms, T(posed) T(here)^-1: (P, 4, 4). What has no

@@ -253,7 +253,7 @@ def nearest_parts(
     """Return the predicted part (n,) that is nearest to each surface point, and its true one
     (n,)."""
     points, true = surface_of(instance, protocol.points)
-    return predicted.nearest_part(points), true
+    return metrics.nearest_part_of(predicted, points), true
 
 
 def _label_iou(labels: Ints, near: Ints, true: Ints) -> float:

@@ -16,6 +16,7 @@ from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.evaluation.figures import Names, solid_of
+from articugen.evaluation.metrics import nearest_part_of
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction, labelled_points
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
@@ -92,7 +93,7 @@ def cut(
         for at in range(0, len(points), _AT_ONCE):
             on_progress(f"cutting: {at:,} of {len(points):,} points")
             some = slice(at, at + _AT_ONCE)
-            part[some] = shape.nearest_part(points[some])
+            part[some] = nearest_part_of(shape, points[some])
         return part
 
     if cloud.triangles is None:

@@ -248,7 +248,7 @@ class Measured:
 def measured(posed: Sequence[Posed], shapes: Sequence[Reconstruction]) -> Measured:
     """Compare what a model makes of each image with the truth."""
     pairs = list(zip(posed, shapes, strict=True))
-    nearest = [f.nearest_part(p.points) for p, f in pairs]
+    nearest = [metrics.nearest_part_of(f, p.points) for p, f in pairs]
     votes = np.zeros((shapes[0].parts, 2))
     for near, p in zip(nearest, posed, strict=True):
         votes += metrics.votes(near, p.part, *votes.shape)
