@@ -12,9 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools, Bytes, Floats
-from articugen.core.geometry import apply
+from articugen.core.arrays import Bools, Bytes, Floats, Indices
+from articugen.core.geometry import apply, invert_rigid
 from articugen.core.portable import turned
+from articugen.core.texture import Texture
 
 
 class JointKind(IntEnum):
@@ -62,12 +63,14 @@ def _freeze(record: Any, dtype: type = np.float64, **wanted: tuple[int | None, .
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle soup. `vertices` (V, 3) metres, `faces` (F, 3) int32 indices into them, `colours`
-    (F, 3) sRGB, where they are wanted and the model states some."""
+    """A triangle soup. `vertices` (V, 3) metres, `faces` (F, 3) int32 indices into them; where
+    colours are wanted and the model states some, `colours` (F, 3) sRGB, and the `texture` of the
+    faces of which these are the means."""
 
     vertices: Floats
     faces: NDArray[np.int32]
     colours: Bytes | None = None
+    texture: Texture | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, vertices=(None, 3))
@@ -358,6 +361,14 @@ class Views:
     def intrinsics(self) -> Floats:
         """(K, 4) fx, fy, cx, cy."""
         return np.stack([self.fx, self.fy, self.cx, self.cy], axis=1)
+
+    def points(self, k: int | Indices, row: Indices, column: Indices, depth: Floats) -> Floats:
+        """Return (n, 3) where the pinhole camera `k`, or those (n,), see something in pixels (n,),
+        at `depth` (n,)."""
+        x = (column + 0.5 - self.cx[k]) / self.fx[k] * depth
+        y = (row + 0.5 - self.cy[k]) / self.fy[k] * depth
+        T = invert_rigid(self.T_camera_world)[k]
+        return turned(T[..., :3, :3], np.stack([x, y, depth], axis=1)) + T[..., :3, 3]
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,8 +120,8 @@ def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -
             mesh = extract_mesh(alone, resolution)
         except RejectedInstance as error:
             raise RejectedInstance(f"part {part}: {error}") from None
-        if colours and len(prepared.extras.colours):
+        if colours and (paint := prepared.extras.paint):
             whole, its = prepared.mesh, prepared.mesh.part_of_face == part
-            some = few(prepared.extras.colours[its], face_areas(whole.vertices, whole.faces[its]))
+            some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its]))
             mesh = coloured_like(mesh, whole.vertices[whole.faces[its]], some)
         yield mesh

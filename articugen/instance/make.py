@@ -37,7 +37,6 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         rng = p.rng(state_index, "sharp")
         sharp = sharp_points(edges, fields.is_free_before, wanted.sharp_points, surface, rng=rng)
     joint_name, part_name, part_semantic = names_of(p.obj)
-    shown = surface.face[: wanted.surface_points]
     occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
         object_id=p.obj.object_id,
@@ -52,11 +51,11 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         occupancy=occupancy,
         coverage=_coverage(p, state_index, mesh, fields, occupancy) if wanted.coverage else {},
         **_sampled_fields("surface", surface, wanted.surface_points),
-        surface_color=p.extras.colours[shown] if wanted.surface_color else None,
+        surface_color=_surface_color(p, surface, fields) if wanted.surface_color else None,
         **_query_fields(p, state_index, surface, sharp, fields),
         **(_sampled_fields("sharp", sharp, wanted.sharp_points) if sharp else {}),
         collision_depth=colliding and float(colliding.depths(fields.material).max()),
-        **_image_fields(p, mesh),
+        **_image_fields(p, mesh, fields),
         **_partial_fields(p, state_index, mesh),
     )
 
@@ -143,6 +142,15 @@ def _sampled_fields(
     }
 
 
+def _surface_color(
+    p: Prepared, surface: sampling.SurfacePoints, fields: fusion.PosedFields
+) -> Bytes:
+    assert p.extras.paint is not None
+    n = p.recipe.sampling.surface_points
+    shown = surface.face[:n], surface.points[:n], surface.part[:n]
+    return p.extras.paint.at(*shown, fields.part_motion)
+
+
 def _query_fields(
     p: Prepared,
     state_index: int,
@@ -188,13 +196,20 @@ def _partial_fields(p: Prepared, state_index: int, mesh: LabelledMesh) -> dict[s
     }
 
 
-def _image_fields(p: Prepared, mesh: LabelledMesh) -> dict[str, NDArray]:
+def _image_fields(
+    p: Prepared, mesh: LabelledMesh, fields: fusion.PosedFields
+) -> dict[str, NDArray]:
     views = p.extras.cameras
     if views is None:
         return {}
     wanted = p.recipe.images
-    colours = p.extras.colours if wanted.colours == "model" else None
-    drawn = images(mesh, views, wanted.fields, closed=p.closed, colours=colours)
+    paint = p.extras.paint if wanted.colours == "model" else None
+
+    def colours(face: Indices, points: Floats) -> Bytes:
+        assert paint is not None
+        return paint.at(face, points, mesh.part_of_face[face], fields.part_motion)
+
+    drawn = images(mesh, views, wanted.fields, closed=p.closed, colours=paint and colours)
     return {f"image_{name}": image for name, image in drawn.items()} | {
         "image_T_camera_world": views.T_camera_world,
         "image_intrinsics": views.intrinsics,

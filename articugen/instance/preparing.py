@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from articugen import fusion
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.backends import Overlay, backend_named
-from articugen.core.colours import plain_colour
 from articugen.core.errors import RejectedInstance
 from articugen.core.geometry import apply, bounds, voxel_centres
 from articugen.core.recipe import Recipe
@@ -31,6 +30,7 @@ from articugen.core.records import (
 from articugen.core.schema import stored_name
 from articugen.core.seeding import generator
 from articugen.instance import articulation
+from articugen.instance.painted import Paint
 from articugen.instance.sharp import SharpEdges, sharp_edges
 from articugen.instance.swept import swept_box
 from articugen.rendering.views import fusion_views, plain_pinhole_views
@@ -129,7 +129,7 @@ class Extras:
         colliding: the parts, to be asked how deep they are in one another.
         cameras: of the images.
         sensors: depth cameras that all instances share.
-        colours: (F, 3) sRGB of the faces; (0, 3) if not.
+        paint: colours of the faces.
     """
 
     ends: LabelledMesh | None
@@ -137,7 +137,7 @@ class Extras:
     colliding: fusion.Colliding | None
     cameras: Views | None
     sensors: Views | None
-    colours: Bytes
+    paint: Paint | None
 
 
 def prepare(
@@ -215,7 +215,7 @@ def _prepared(
     solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
     is_seen = np.concatenate([part.seen for part in parts])
     bvh = fusion.joined_bvh(parts)
-    colours = _colours(obj, soup, parts if recipe.shows_colours else [])
+    paint = Paint.of(obj, soup, parts) if recipe.shows_colours else None
     rng = partial(generator, seed, obj.category, obj.object_id)
     swept = swept_box(mesh, motions[: len(states)])  # the same for any reach
     return Prepared(
@@ -234,7 +234,7 @@ def _prepared(
         overlay=None if recipe.fusion.rule == "rigid" else backend.overlay_on(static),
         own=solids,
         grids={r: Grid.of(r, solids[0], recipe) for r in recipe.sampling.grids},
-        extras=_extras(mesh, solids, bvh, swept, recipe, rng, colours),
+        extras=_extras(mesh, solids, bvh, swept, recipe, rng, paint),
     )
 
 
@@ -334,7 +334,7 @@ def _extras(
     swept: Floats,
     recipe: Recipe,
     rng: Callable[[str], np.random.Generator],
-    colours: Bytes,
+    paint: Paint | None,
 ) -> Extras:
     """Return what the recipe asks for besides; `swept` (2, 3) holds the object in all its
     states."""
@@ -355,24 +355,7 @@ def _extras(
             **HELD,
             rng=rng("partial"),
         )
-    return Extras(ends, edges, colliding, cameras, sensors, colours)
-
-
-def _colours(
-    obj: ArticulatedObject, soup: LabelledMesh, parts: Sequence[fusion.SolidPart]
-) -> Bytes:
-    """Return (F, 3) of the faces of these parts; of links that state none, plain ones."""
-    colours = [np.zeros((0, 3), np.uint8)]
-    for k, part in enumerate(parts):
-        stated = []
-        for index in np.flatnonzero(obj.part_of_link == k):  # as in `canonical_mesh`
-            link = obj.links[index]
-            plain = np.array(plain_colour(obj.category, link.semantic or link.name), np.uint8)
-            plain = np.tile(plain, (len(link.mesh.faces), 1))
-            stated.append(plain if link.mesh.colours is None else link.mesh.colours)
-        origins = fusion.origins(part.mesh, part.origin, soup.part(k))
-        colours.append(np.concatenate(stated)[origins])
-    return np.concatenate(colours)
+    return Extras(ends, edges, colliding, cameras, sensors, paint)
 
 
 def canonical_mesh(obj: ArticulatedObject, posed: PosedObject) -> LabelledMesh:

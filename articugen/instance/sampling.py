@@ -11,7 +11,7 @@ import numpy as np
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.errors import RejectedInstance
-from articugen.core.geometry import apply, cross, invert_rigid, points_on_triangles
+from articugen.core.geometry import cross, points_on_triangles
 from articugen.core.recipe import Sampling
 from articugen.core.records import DepthMaps, LabelledMesh
 
@@ -157,9 +157,7 @@ def partial_clouds(
         z = depth[i, j]
         if noise > 0.0:
             z = z + noise * rng.normal(size=count)
-        x = (j + 0.5 - views.cx[k]) / views.fx[k] * z
-        y = (i + 0.5 - views.cy[k]) / views.fy[k] * z
-        clouds[k] = apply(invert_rigid(views.T_camera_world[k]), np.stack([x, y, z], axis=1))
+        clouds[k] = views.points(k, i, j, z)
         parts[k] = part_of_face[face[i, j]]
     return np.clip(clouds, -0.5, 0.5), parts
 

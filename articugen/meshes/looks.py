@@ -1,8 +1,9 @@
-"""Base colours of mesh files, a colour a face, as their materials state them.
+"""Base colours of mesh files, as their materials and textures state them, and their means over
+faces.
 
-Of an OBJ that is its material's Kd, times the mean of the texture (map_Kd) over the face; glTF and
-COLLADA are read in `materials`. Colours are read where somebody wants them (`with_looks`) alone,
-for their files count in a model's hash.
+Of an OBJ that is its material's Kd, times the texture (map_Kd); glTF and COLLADA are read in
+`materials`. Colours are read where somebody wants them (`with_looks`) alone, for their files count
+in a model's hash.
 """
 
 import os
@@ -19,8 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.core.arrays import Bytes, Floats, Indices
+from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.errors import InvalidSource, MachineFault
+from articugen.core.texture import Texture, between, texels
 from articugen.meshes import pixels
 from articugen.meshes.model_files import MAX_TEXT_BYTES, ModelFiles, quoted
 
@@ -32,6 +34,17 @@ _SPREAD = [(a, b, 12 - a - b) for k in (1, 2) for a in range(k, 12, 3) for b in 
 """Centres of the 16 equal triangles that a triangle is cut into: weights of its corners, x 12."""
 
 
+class Painted(NamedTuple):
+    """Colours (F, 3) sRGB of faces, and the texture of which they are the means."""
+
+    colours: Bytes
+    texture: Texture | None = None
+
+    def of(self, faces: Bools) -> "Painted":
+        """Return those of some faces, in their order."""
+        return Painted(self.colours[faces], self.texture and self.texture.of(faces))
+
+
 class Material(NamedTuple):
     """Material of a mesh: sRGB from 0 to 1, and a texture."""
 
@@ -39,6 +52,7 @@ class Material(NamedTuple):
     texture: Path | None = None
 
 
+_WHITE = np.full((1, 1, 3), 255, np.uint8)  # lies on faces with colours at their corners alone
 GREY = Material((0.5, 0.5, 0.5))  # of faces without a material, where others have one
 
 
@@ -77,8 +91,8 @@ class Looks:
             known |= self._libraries[place] if place else {}
         return known
 
-    def of_obj(self, obj: bytes, path: Path, files: ModelFiles) -> Bytes | None:
-        """Return (F, 3) of an OBJ's polygons as fans; None where none of its materials is known."""
+    def of_obj(self, obj: bytes, path: Path, files: ModelFiles) -> Painted | None:
+        """Return what the fans of an OBJ's polygons show; None where it has no known material."""
         known, materials = self.materials(obj, path, files), [GREY]
         uv, corners, which = [], [], []
         for line in obj.split(b"\n") if known else ():
@@ -96,14 +110,25 @@ class Looks:
         return self.painted(materials, np.array(which, np.intp), places)
 
     def painted(
-        self, materials: Sequence[Material], which: Indices, places: Floats
-    ) -> Bytes | None:
-        """Return (F, 3) of faces: `which` (F,) of the materials they have, and the `places` (F, 3,
-        2) of their corners in its texture, v up, nan for none. None where all are GREY itself."""
+        self,
+        materials: Sequence[Material],
+        which: Indices,
+        places: Floats,
+        corners: Floats | None = None,
+    ) -> Painted | None:
+        """Return what faces show: `which` (F,) of the materials they have, the `places` (F, 3, 2)
+        of their corners in its texture, v up, nan for none, and the colours at their `corners`
+        (F, 3, 3), which those of the material are multiplied by. None where all are GREY itself."""
         used = np.unique(which).tolist()
         if all(materials[n] is GREY for n in used):
             return None
         colours = np.array([material.kd for material in materials])[which]
+        tint = np.repeat(colours[:, None], 3, axis=1)
+        pictures, shown = [_WHITE], np.full(len(which), -1, np.intp)
+        if corners is not None:
+            tint *= corners
+            colours *= between(corners, np.ones(3)) / 3.0
+            shown[np.ptp(corners, axis=1).any(axis=1)] = 0
         number = {t: k for k, t in enumerate(dict.fromkeys(materials[n].texture for n in used))}
         textures = np.array([number.get(material.texture, -1) for material in materials])[which]
         for texture in filter(None, number):
@@ -114,8 +139,13 @@ class Looks:
             if (picture := self._textures[texture]) is None:
                 self.miss(texture.name)
             else:
-                colours[rows] *= _means(picture, places[rows])
-        return in_bytes(colours)
+                colours[rows] = _means(picture, places[rows], tint[rows])
+                shown[rows] = len(pictures)
+                pictures.append(picture)
+        if (shown < 0).all():
+            return Painted(in_bytes(colours))
+        places = np.where(shown[:, None, None] > 0, places, 0.0)  # the others may be no numbers
+        return Painted(in_bytes(colours), Texture(tuple(pictures), shown, places, tint))
 
     def find(
         self, name: bytes | str, beside: Path, files: ModelFiles, most: int = MAX_TEXTURE_BYTES
@@ -185,17 +215,13 @@ def decoded(data: bytes | memoryview) -> Bytes | None:
     return np.frombuffer(done.stdout, np.uint8, offset=8).reshape(height, width, 3)
 
 
-def _means(texture: Bytes, corners: Floats) -> Floats:
-    """Return (n, 3), from 0 to 1, the mean of a texture over triangles (n, 3, 2) of its plane, v
-    up, in which it repeats."""
-    height, width = texture.shape[:2]
-    total = np.zeros((len(corners), 3))
-    for a, b, c in _SPREAD:
-        at = (a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2]) / 12.0 % 1.0
-        column = np.minimum((at[:, 0] * width).astype(np.intp), width - 1)
-        row = np.minimum(((1.0 - at[:, 1]) * height).astype(np.intp), height - 1)
-        total += texture[row, column]
-    return total / (255.0 * len(_SPREAD))
+def _means(picture: Bytes, places: Floats, tint: Floats) -> Floats:
+    """Return (n, 3), from 0 to 1, the mean of a picture that repeats over triangles (n, 3, 2) of
+    its plane, v up, times the `tint` (n, 3, 3) at their corners."""
+    total = np.zeros((len(places), 3))
+    for weights in 1.0 * np.array(_SPREAD):
+        total += texels(picture, between(places, weights) / 12.0) * between(tint, weights)
+    return total / (12.0 * 255.0 * len(_SPREAD))
 
 
 def _which(corner: bytes, known: int) -> int:

@@ -1,8 +1,8 @@
 """Materials of glTF and COLLADA, read beside the triangles, which never depend on them.
 
-A glTF's is the baseColorFactor, which is linear light, times the baseColorTexture; COLLADA's the
-diffuse colour, taken as sRGB like the Kd of an OBJ, or the diffuse texture. Any
-exception may come of what is amiss with them.
+A glTF's is the baseColorFactor, which is linear light, times the baseColorTexture and the colours
+of vertices, COLOR_0; COLLADA's the diffuse colour, taken as sRGB like the Kd of an OBJ, or the
+diffuse texture. Any exception may come of what is amiss with them.
 """
 
 import base64
@@ -15,38 +15,47 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from articugen.core.arrays import Bytes, Floats, Ints
+from articugen.core.arrays import Floats, Ints
 from articugen.core.colours import srgb
-from articugen.meshes.looks import GREY, Looks, Material, rgb_of
+from articugen.core.portable import sin_cos, turned
+from articugen.meshes.looks import GREY, Looks, Material, Painted, rgb_of
 from articugen.meshes.model_files import ModelFiles
 
 _MOST_MATERIALS = 10_000  # of a glTF
 _MOST_IMAGES = 256  # inside it
 _MADE = (0, 1, 4, 5)  # modes of its primitives that trimesh makes a geometry of
-_UV = {5126: ("<f4", 1.0), 5121: ("u1", 255.0), 5123: ("<u2", 65535.0)}
-"""By componentType, and the number of the texture's edge."""
+_KINDS = {5126: ("<f4", 1.0), 5121: ("u1", 255.0), 5123: ("<u2", 65535.0)}
+"""By componentType, and the number that stands for 1."""
 
-Shown = list[tuple[str, int]]
-"""Names of geometries of a scene of trimesh, and how many faces each has, in the order of faces."""
+Shown = list[tuple[str, int, bool]]
+"""Names of geometries of a scene of trimesh, in the order of faces: how many faces each has, and
+whether it is mirrored, so that their corners come in the other order."""
 
-ScenePaint = Callable[[Any, Shown], Bytes | None]
-"""Returns (F, 3) sRGB of the faces of such a scene; None where it states no material."""
+ScenePaint = Callable[[Any, Shown], Painted | None]
+"""Returns what the faces of such a scene show; None where it states no material."""
+
+_WHITE = Material((1.0, 1.0, 1.0))
 
 
 class _Coat(NamedTuple):
-    """Material of a geometry, and where the corners of its faces lie in the texture, v up."""
+    """Material of a geometry, where the corners of its faces lie in the texture, v up, and sRGB
+    from 0 to 1 that they have besides."""
 
     material: Material = GREY
     places: Floats = np.full((1, 3, 2), np.nan)  # or (F, 3, 2)
+    corners: Floats = np.ones((1, 3, 3))  # or (F, 3, 3)
 
 
-def _painted(looks: Looks, coats: list[_Coat], shown: Shown) -> Bytes | None:
-    counts = [n for _, n in shown]
-    places = [
-        np.broadcast_to(coat.places, (n, 3, 2)) for coat, n in zip(coats, counts, strict=True)
-    ]
-    which = np.repeat(np.arange(len(coats)), counts)
-    return looks.painted([coat.material for coat in coats], which, np.concatenate(places))
+def _painted(looks: Looks, coats: list[_Coat], shown: Shown) -> Painted | None:
+    def joined(arrays: list[Floats]) -> Floats:
+        return np.concatenate([
+            np.broadcast_to(array, (n, *array.shape[1:]))[:, :: -1 if mirrored else 1]
+            for array, (_, n, mirrored) in zip(arrays, shown, strict=True)
+        ])  # fmt: skip
+
+    which = np.repeat(np.arange(len(coats)), [n for _, n, _ in shown])
+    places, corners = joined([coat.places for coat in coats]), joined([c.corners for c in coats])
+    return looks.painted([coat.material for coat in coats], which, places, corners)
 
 
 class Gltf:
@@ -62,37 +71,45 @@ class Gltf:
 
     def scene_paint(self, looks: Looks, path: Path, files: ModelFiles) -> ScenePaint:
         """Read the materials, and the files of their textures."""
-        known: list[tuple[Material, str]] = []
+        known: list[tuple[Material, str, Floats]] = []
         for stated in self._document.get("materials", [])[:_MOST_MATERIALS]:
             base = stated.get("pbrMetallicRoughness", {})
             light = rgb_of(base.get("baseColorFactor", (1.0,))[:3]) or (1.0, 1.0, 1.0)
             texture = base.get("baseColorTexture", {})
             picture = self._texture(texture, looks, path, files) if "index" in texture else None
-            attribute = f"TEXCOORD_{texture.get('texCoord', 0)}"
-            known.append((Material(tuple(srgb(light).tolist()), picture), attribute))
+            moved = texture.get("extensions", {}).get("KHR_texture_transform", {})
+            attribute = f"TEXCOORD_{(texture | moved).get('texCoord', 0)}"
+            material = Material(tuple(srgb(light).tolist()), picture)
+            known.append((material, attribute, _moving(**moved)))
 
         def coat(primitive: Any, mesh: Any) -> _Coat:
+            attributes, coat = primitive["attributes"], _Coat()
+            if "COLOR_0" in attributes:
+                light = self._at_corners(attributes["COLOR_0"], mesh.faces, ("VEC3", "VEC4"))
+                light = np.clip(np.nan_to_num(light[..., :3]), 0.0, 1.0)
+                coat = _Coat(_WHITE, corners=srgb(light))
             if "material" not in primitive:
-                return _Coat()
-            material, attribute = known[primitive["material"]]
-            place = primitive["attributes"].get(attribute)
-            if material.texture is None or place is None:
-                return _Coat(material)
-            return _Coat(material, self._places(place, mesh.faces))
+                return coat
+            material, attribute, moving = known[primitive["material"]]
+            if material.texture is not None and attribute in attributes:
+                uv = self._at_corners(attributes[attribute], mesh.faces, ("VEC2",))
+                with np.errstate(over="ignore", invalid="ignore"):  # of places that are no numbers
+                    uv = turned(moving[:, :2], uv) + moving[:, 2]
+                coat = coat._replace(places=np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1))
+            return coat._replace(material=material)
 
-        def scene_paint(scene: Any, shown: Shown) -> Bytes | None:
+        def scene_paint(scene: Any, shown: Shown) -> Painted | None:
             every = chain.from_iterable(m["primitives"] for m in self._document["meshes"])
             drawn = [primitive for primitive in every if primitive.get("mode", 4) in _MADE]
             of_name = dict(zip(scene.geometry, drawn, strict=True))
-            coats = {name: coat(of_name[name], scene.geometry[name]) for name in dict(shown)}
-            return _painted(looks, [coats[name] for name, _ in shown], shown)
+            names = [name for name, *_ in shown]
+            coats = {name: coat(of_name[name], scene.geometry[name]) for name in {*names}}
+            return _painted(looks, [coats[name] for name in names], shown)
 
         return scene_paint
 
     def _texture(self, texture: Any, looks: Looks, path: Path, files: ModelFiles) -> Path | None:
         """Read a texture, undecoded; None where it cannot be read."""
-        if "KHR_texture_transform" in texture.get("extensions", {}):
-            return looks.miss("KHR_texture_transform")
         source = self._document["textures"][texture["index"]]
         n = {**source.get("extensions", {}).get("EXT_texture_webp", {}), **source}["source"]
         image = self._document["images"][n]
@@ -111,18 +128,35 @@ class Gltf:
         data = memoryview(self._buffers[view["buffer"]])[first : first + view["byteLength"]]
         return data, view.get("byteStride")
 
-    def _places(self, n: int, faces: Ints) -> Floats:
-        """Return (F, 3, 2) of faces of vertices whose places in a texture an accessor has."""
+    def _at_corners(self, n: int, faces: Ints, types: tuple[str, ...]) -> Floats:
+        """Return (F, 3, k) what an accessor of one of these types has of the vertices of faces."""
         accessor = self._document["accessors"][n]
         data, stride = self._view(accessor["bufferView"])
-        kind, edge = _UV[accessor["componentType"]]
-        size, count = np.dtype(kind).itemsize, accessor["count"]
-        stride = 2 * size if stride is None else stride
-        if accessor["type"] != "VEC2" or not 0 < stride < 256 or count > len(data):
-            raise ValueError("places in a texture that are none")
+        kind, one = _KINDS[accessor["componentType"]]
+        size, count, columns = np.dtype(kind).itemsize, accessor["count"], int(accessor["type"][-1])
+        stride = columns * size if stride is None else stride
+        if accessor["type"] not in types or "sparse" in accessor:
+            raise ValueError(f"an accessor that is no {' or '.join(types)}, or sparse")
+        if not 0 < stride < 256 or count > len(data):
+            raise ValueError("an accessor beyond its view")
         first = accessor.get("byteOffset", 0)
-        uv = np.ndarray((count, 2), kind, data, first, (stride, size))[faces].astype(np.float64)
-        return np.stack([uv[..., 0] / edge, 1.0 - uv[..., 1] / edge], axis=-1)
+        values = np.ndarray((count, columns), kind, data, first, (stride, size))
+        return values[faces].astype(np.float64) / one
+
+
+def _moving(
+    offset: Any = (0, 0), rotation: Any = 0.0, scale: Any = (1, 1), **_others: Any
+) -> Floats:
+    """Return (2, 3) that takes places in a texture, v down, through a KHR_texture_transform.
+
+    A positive rotation is counter-clockwise on the picture, as the extension's text, its example
+    and viewers have it; its listing turns the other way (KhronosGroup/glTF, issue 1563).
+    """
+    (u, v), (width, height) = offset, scale
+    if not np.isfinite(np.array([u, v, width, height], np.float64)).all():
+        raise ValueError("a KHR_texture_transform of no numbers")
+    sine, cosine = sin_cos(rotation)
+    return np.array([[cosine * width, sine * height, u], [-sine * width, cosine * height, v]])
 
 
 def _inline(uri: str) -> bytes:
@@ -172,6 +206,6 @@ def _of_effect(diffuse: Any, looks: Looks, path: Path, files: ModelFiles) -> Mat
     """Return the material of COLLADA's diffuse colour or texture."""
     if hasattr(diffuse, "sampler"):
         name = unquote(diffuse.sampler.surface.image.path).removeprefix("file://")
-        return Material((1.0, 1.0, 1.0), looks.find(name, path, files))
+        return _WHITE._replace(texture=looks.find(name, path, files))
     kd = rgb_of(() if diffuse is None else diffuse[:3])
     return Material(kd) if kd else GREY

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from articugen.core.arrays import Bytes, Floats, Ints
+from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource
 from articugen.core.portable import cos, sin
 from articugen.core.records import Mesh
 from articugen.meshes import scenes
-from articugen.meshes.looks import wanted_looks
+from articugen.meshes.looks import Painted, wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
 
 MAX_LINE_BYTES = 2**20  # of an OBJ: a face with so many corners is none
@@ -95,15 +95,15 @@ def read_mesh(path: Path, files: ModelFiles | None = None) -> Mesh:
             looks.materials(_obj_lines(data), path, files)
         return STAND_IN
     vertices, faces, paint = read(data, path, files)
-    colours = paint() if paint and wanted() == "meshes" else None
-    return checked(vertices, faces, path, colours)
+    painted = paint() if paint and wanted() == "meshes" else None
+    return checked(vertices, faces, path, painted)
 
 
 def checked(
     vertices: NDArray[np.floating],
     faces: NDArray[np.integer],
     path: Path,
-    colours: Bytes | None = None,
+    painted: Painted | None = None,
 ) -> Mesh:
     """Make a `Mesh` of (V, 3) vertices and (F, 3) faces of a stranger; raises as `read_mesh`."""
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
@@ -123,7 +123,8 @@ def checked(
     faces = faces[sound]
     if len(faces) == 0:
         raise NoMesh(f"{path}: has no triangle; remove the <visual> that uses it or export again")
-    return Mesh(vertices, faces.astype(np.int32), None if colours is None else colours[sound])
+    colours, texture = painted.of(sound) if painted else (None, None)
+    return Mesh(vertices, faces.astype(np.int32), colours, texture)
 
 
 def box(size: ArrayLike) -> Mesh:
@@ -178,8 +179,10 @@ PRIMITIVE_FACES = {"box": 12, "cylinder": 4 * 64, "sphere": 62 * 64, "capsule": 
 def scaled(mesh: Mesh, scale: ArrayLike) -> Mesh:
     """`mesh` scaled along x, y, z; a mirrored one is turned outside out again."""
     mirrored = np.prod(np.sign(scale)) < 0
-    faces = mesh.faces[:, ::-1] if mirrored else mesh.faces
-    return replace(mesh, vertices=mesh.vertices * np.asarray(scale), faces=faces)
+    if mirrored:
+        texture = mesh.texture and mesh.texture.turned()
+        mesh = replace(mesh, faces=mesh.faces[:, ::-1], texture=texture)
+    return replace(mesh, vertices=mesh.vertices * np.asarray(scale))
 
 
 def fans(corners: NDArray[np.integer], counts: NDArray[np.integer]) -> Ints:

@@ -17,11 +17,11 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from articugen.core.arrays import Bytes, Floats, Ints
+from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource, machine_fault
 from articugen.core.geometry import apply
 from articugen.meshes import materials
-from articugen.meshes.looks import Looks, wanted_looks
+from articugen.meshes.looks import Looks, Painted, wanted_looks
 from articugen.meshes.model_files import ModelFiles, claimed_rows, quoted
 from articugen.meshes.xml_strict import parse_xml, tostring
 
@@ -32,8 +32,8 @@ MAX_VERTICES = 3 * MAX_FACES
 _MAX_NODES = 10_000  # of a scene
 _MAX_DEPTH = 100  # of nodes that instance others
 
-Paint = Callable[[], Bytes | None] | None
-"""Returns (F, 3) sRGB of a mesh's faces; None where it states no colours, or none are wanted."""
+Paint = Callable[[], Painted | None] | None
+"""Returns what a mesh's faces show; None where it states no colours, or none are wanted."""
 
 _Arrays = tuple[Floats, Ints, Paint]
 _T = TypeVar("_T")
@@ -230,9 +230,10 @@ def _baked(scene: Any, path: Path, kind: type) -> tuple[Floats, Ints, materials.
         indices = np.asarray(mesh.faces, np.int64).reshape(-1, 3)
         if indices.size and (indices.min() < 0 or indices.max() >= len(mesh.vertices)):
             raise _broken(path, f"a face of {name!r} names a vertex that is not there")
-        faces.append((indices[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else indices) + offset)
+        mirrored = bool(np.linalg.det(T[:3, :3]) < 0)
+        faces.append((indices[:, ::-1] if mirrored else indices) + offset)
         vertices.append(apply(T, mesh.vertices))
-        shown.append((name, len(indices)))
+        shown.append((name, len(indices), mirrored))
         offset += len(mesh.vertices)
         total += len(indices)
         check_size(path, faces=total, vertices=offset)

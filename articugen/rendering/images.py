@@ -1,9 +1,11 @@
 """Images of a posed mesh: depth, parts, normals and shaded colours, by the rasteriser."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools, Bytes
+from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.colours import PALETTE
 from articugen.core.geometry import cross
 from articugen.core.portable import dot, norm, power, turned
@@ -26,7 +28,7 @@ def images(
     wanted: tuple[str, ...],
     *,
     closed: Bools,
-    colours: Bytes | None = None,
+    colours: Callable[[Indices, Floats], Bytes] | None = None,
 ) -> dict[str, NDArray]:
     """Draw the `wanted` images of each of V cameras, by name.
 
@@ -34,7 +36,8 @@ def images(
         mesh: posed, unit frame.
         views: pinhole cameras, outside of the mesh.
         closed: (F,) which faces bound closed solids: their backs cannot be seen.
-        colours: (F, 3) sRGB of the faces; by default those of their parts.
+        colours: gives (n, 3) sRGB of faces (n,) at points (n, 3) of them, posed as `mesh`; by
+            default those of their parts.
 
     Returns:
         `depth` (V, H, W) float32, 0 where nothing is; `part` (V, H, W) uint8, k + 1 for part k;
@@ -44,7 +47,7 @@ def images(
     assert maps.depth is not None
     assert maps.face is not None
     hit = maps.face >= 0
-    face = maps.face[hit]
+    face = maps.face[hit].astype(np.intp)
     part = mesh.part_of_face[face]
     out: dict[str, NDArray] = {}
     if "depth" in wanted:
@@ -52,7 +55,7 @@ def images(
     if "part" in wanted:
         out["part"] = _filled(hit, part + 1)
     if "normal" in wanted or "rgba" in wanted:
-        view = np.nonzero(hit)[0]
+        view, row, column = np.nonzero(hit)
         corners = mesh.vertices[mesh.faces[face]]
         across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
@@ -62,7 +65,10 @@ def images(
         out["normal"] = _filled(hit, np.round(127.0 * normals).astype(np.int8))
         lamps = np.stack([turned(rotation.T, _LAMP) for rotation in R])
         light = _SKY + _DIRECT * np.maximum(dot(normals, lamps[view]), 0.0)
-        shown = PALETTE[part] if colours is None else colours[face]
+        shown = PALETTE[part]
+        if colours is not None:
+            depth = maps.depth[hit].astype(np.float64)
+            shown = colours(face, views.points(view, row, column, depth))
         linear = _LINEAR[shown] * light[:, None]
         rgba = np.full((len(face), 4), 255, np.uint8)
         rgba[:, :3] = np.round(255.0 * power(np.minimum(linear, 1.0), 1.0 / _GAMMA))

@@ -11,6 +11,7 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply
 from articugen.core.records import Mesh
+from articugen.core.texture import Texture
 from articugen.meshes import read
 from articugen.meshes.looks import GREY, in_bytes, rgb_of, wanted_looks
 from articugen.meshes.model_files import ModelFiles, quoted
@@ -27,7 +28,9 @@ def joined(shapes: Iterable[Mesh]) -> Mesh:
     if any(shape.colours is not None for shape in shapes):
         known = (painted(shape, GREY.kd).colours for shape in shapes)
         colours = np.concatenate([part for part in known if part is not None])
-    return Mesh(np.concatenate([s.vertices for s in shapes]), np.concatenate(faces), colours)
+    texture = Texture.joined([shape.texture for shape in shapes], [len(s.faces) for s in shapes])
+    vertices = np.concatenate([shape.vertices for shape in shapes])
+    return Mesh(vertices, np.concatenate(faces), colours, texture)
 
 
 def painted(mesh: Mesh, colour: tuple[float, ...] | None) -> Mesh:
