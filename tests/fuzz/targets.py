@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -106,7 +107,15 @@ def _read_scene(path: Path) -> object:
     with mock.patch.object(looks, "decoded", _decoded), looks.with_looks(wanted=True) as reader:
         mesh = read_mesh(path)
     np.testing.assert_array_equal(mesh.triangles, plain.triangles)
-    return mesh.colours, reader.notes()
+    return _shown(mesh), reader.notes()
+
+
+def _shown(mesh: Any) -> object:
+    """The colours of faces, and those within them."""
+    if mesh.texture is None:
+        return mesh.colours
+    thirds = np.full((len(mesh.faces), 3), 1.0 / 3.0)
+    return mesh.colours, mesh.texture.colours(np.arange(len(thirds)), thirds)
 
 
 def _check_mesh(path: Path) -> object:
@@ -181,7 +190,7 @@ def _read_looks(path: Path) -> object:
 
     _laid(path, _LOOKS)
     with mock.patch.object(looks, "decoded", _decoded), looks.with_looks(wanted=True) as reader:
-        return read_mesh(path.parent / _LOOKS[0]).colours, reader.notes()
+        return _shown(read_mesh(path.parent / _LOOKS[0])), reader.notes()
 
 
 _LOOKS = ("m.obj", "m.mtl", "t.png")
@@ -451,6 +460,7 @@ _IN_GLTF = (
     *(b'"children":', b'"mode":', b'"matrix":', b'"rotation":', b'"scale":', b'"extensions":'),
     *(b'"KHR_draco_mesh_compression"', b'"images":', b'"textures":', b'"type":', b'"normalized"'),
     *(b'"materials":', b'"baseColorFactor":', b'"baseColorTexture":', b'"TEXCOORD_0":'),
+    *(b'"COLOR_0":', b'"KHR_texture_transform":', b'"offset":', b'"texCoord":', b'"VEC4"'),
 )
 _IN_YAML = (
     *(b": ", b"\n", b"  ", b"- ", b"[", b"]", b"{", b"}", b"&a ", b"*a", b"<<: ", b"!!int ", b"|"),
