@@ -16,9 +16,10 @@ from test_scene_colours import textured_dae as dae
 
 import articugen as ag
 from articugen.core.colours import srgb
+from articugen.core.geometry import nearest_weights
 from articugen.core.records import LabelledMesh, dequantize
 from articugen.core.texture import Texture
-from articugen.instance.painted import Paint, nearest_weights
+from articugen.instance.painted import Paint
 from articugen.meshes import looks
 from articugen.meshes.model_files import ModelFiles
 from articugen.meshes.read import read_mesh, scaled

@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from articugen.core.arrays import Floats, Indices
-from articugen.core.portable import norm, product, sin_cos, turned
+from articugen.core.portable import dot, norm, product, sin_cos, turned
+
+_NO_AREA = 1e-60
+"""The square of twice the area, unit frame, of triangles that are taken for points."""
+
+_INWARDS = 1e-6
+"""Least share of a corner: right behind the edge of a picture that repeats its other side lies."""
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Floats:
@@ -128,6 +134,21 @@ def points_in_triangles(
     folded = a + b > 1.0
     a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
     return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
+
+
+def nearest_weights(corners: Floats, points: Floats) -> Floats:
+    """Return (n, 3) the barycentric coordinates of points (n, 3) in the planes of triangles (n, 3,
+    3), moved into these from beside them; thirds in triangles without area."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = cross(b - a, c - a)
+    square = dot(normal, normal)
+    flat = square < _NO_AREA
+    square = np.where(flat, 1.0, square)
+    beta = dot(cross(points - a, c - a), normal) / square
+    gamma = dot(cross(b - a, points - a), normal) / square
+    weights = np.maximum(np.stack([1.0 - beta - gamma, beta, gamma], axis=1), _INWARDS)
+    weights[flat] = 1.0
+    return weights / dot(weights, np.ones(3))[:, None]
 
 
 def fibonacci_sphere(count: int) -> Floats:

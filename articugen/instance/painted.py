@@ -8,16 +8,10 @@ import numpy as np
 from articugen import fusion
 from articugen.core.arrays import Bytes, Floats, Indices
 from articugen.core.colours import plain_colour
-from articugen.core.geometry import cross, invert_rigid
-from articugen.core.portable import dot, turned
+from articugen.core.geometry import invert_rigid, nearest_weights
+from articugen.core.portable import turned
 from articugen.core.records import ArticulatedObject, LabelledMesh, Link
 from articugen.core.texture import Texture
-
-_NO_AREA = 1e-60
-"""The square of twice the area, unit frame, of triangles that are taken for points."""
-
-_INWARDS = 1e-6
-"""Least share of a corner: right behind the edge of a picture that repeats its other side lies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +65,3 @@ def _flat(link: Link, category: str) -> Bytes:
         return link.mesh.colours
     plain = np.array(plain_colour(category, link.semantic or link.name), np.uint8)
     return np.tile(plain, (len(link.mesh.faces), 1))
-
-
-def nearest_weights(corners: Floats, points: Floats) -> Floats:
-    """Return (n, 3) the barycentric coordinates of points (n, 3) in the planes of triangles (n, 3,
-    3), moved into these from beside them; thirds in triangles without area."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normal = cross(b - a, c - a)
-    square = dot(normal, normal)
-    flat = square < _NO_AREA
-    square = np.where(flat, 1.0, square)
-    beta = dot(cross(points - a, c - a), normal) / square
-    gamma = dot(cross(b - a, points - a), normal) / square
-    weights = np.maximum(np.stack([1.0 - beta - gamma, beta, gamma], axis=1), _INWARDS)
-    weights[flat] = 1.0
-    return weights / dot(weights, np.ones(3))[:, None]

@@ -7,7 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from articugen.core.arrays import Floats, Ints
-from articugen.core.geometry import look_along, pick_by_weight, points_in_triangles
+from articugen.core.geometry import (
+    look_along,
+    nearest_weights,
+    pick_by_weight,
+    points_in_triangles,
+)
 from articugen.core.records import LabelledMesh, Views
 from articugen.pictures.camera import Camera
 from articugen.pictures.light import SurfaceCloud
@@ -92,7 +97,7 @@ def draw_solid(
         which, rays = face[hit], camera.rays[hit]
         at = camera.eye + depth[hit][:, None] * rays
         corner = _corner_normals(triangles, group)[which]
-        smooth = np.einsum("nc,nci->ni", _barycentric(at, triangles[which]), corner)
+        smooth = np.einsum("nc,nci->ni", nearest_weights(triangles[which], at), corner)
         smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
         away = (smooth * rays).sum(1, keepdims=True) > 0.0
         normals[hit] = np.where(away, -smooth, smooth)
@@ -133,14 +138,3 @@ def _corner_normals(triangles: Floats, group: Ints) -> Floats:
 
 def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
-
-
-def _barycentric(points: Floats, triangles: Floats) -> Floats:
-    """Return (n, 3) weights of the corners of each point's triangle, none below 0."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    normal = np.cross(b - a, c - a)
-    size = np.maximum((normal * normal).sum(1), 1e-30)
-    v = (np.cross(points - a, c - a) * normal).sum(1) / size
-    w = (np.cross(b - a, points - a) * normal).sum(1) / size
-    weights = np.clip(np.stack([1.0 - v - w, v, w], axis=1), 0.0, 1.0)
-    return weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)
