@@ -3,17 +3,20 @@
 import numpy as np
 import pytest
 import torch
-from digests import resumed_exactly
+from digests import digest, resumed_exactly
 from few import FEW
 from hypothesis import given
 from hypothesis import strategies as st
 from learners import tiny
 
 from articugen.evaluation.metrics import nearest_part_of
+from articugen.learning.data.batch import Batch
 from articugen.learning.fields import divided, grid_centres, meshes_of_greatest, reconstruction_of
 from articugen.learning.loop import Training, train
 from articugen.learning.ppd import local
-from articugen.learning.ppd.local import LocalField, Outline, nearest_points
+from articugen.learning.ppd.local import Around, LocalField, Outline, nearest_points
+from articugen.learning.ppd.settings import PPDRecipe
+from articugen.learning.run_folder import BEST, LATEST, read_checkpoint
 from articugen.meshes.marching_cubes import zero_level
 
 TINY = tiny(
@@ -59,34 +62,79 @@ def layers(x, parts):
 
 
 @torch.no_grad()
-def test_the_field_read_literally():
+@pytest.mark.parametrize("inputs", [0, 2])
+def test_what_is_around_a_place_read_literally(inputs):
     torch.manual_seed(2)
-    field = LocalField().double()
-    cloud, places = torch.rand(2, 80, 3).double() - 0.5, torch.rand(2, 5, 3).double() - 0.5
-    actual = field(cloud, places).numpy()
-    near = nearest_points(cloud, places).numpy()
+    around_it = Around(8, 16, inputs=inputs, outputs=3).double()
+    cloud, places = torch.rand(2, 80, 3 + inputs).double(), torch.rand(2, 5, 3).double()
+    actual = around_it(cloud, places).numpy()
+    near = nearest_points(cloud[..., :3], places).numpy()
     for b, m in np.ndindex(2, 5):
         x = places[b, m].numpy()
         features = [2.0 * x]
         for i, scale in enumerate((0.25, 0.1, 0.04)):
-            offset = (cloud[b].numpy()[near[b, m, i]] - x) / scale
-            far = np.linalg.norm(offset, axis=1)[:, None]
-            around = layers(np.hstack([offset, far, np.tile(2.0 * x, (12, 1))]), field.near[i])
-            weight = np.exp(layers(around, [field.weight[i]]))
+            points = cloud[b].numpy()[near[b, m, i]]
+            offset = (points[:, :3] - x) / scale
+            far, at = np.linalg.norm(offset, axis=1)[:, None], np.tile(2.0 * x, (12, 1))
+            around = layers(np.hstack([offset, far, at, points[:, 3:]]), around_it.near[i])
+            weight = np.exp(layers(around, [around_it.weight[i]]))
             features += [around.max(0), (around * weight / weight.sum()).sum(0)]
-        expected = layers(np.concatenate(features)[None], field.head)[0, 0]
+        expected = layers(np.concatenate(features)[None], around_it.head)[0]
         assert actual[b, m] == pytest.approx(expected, abs=1e-9)
+
+
+@torch.no_grad()
+def test_each_point_of_a_cloud_has_the_normal_that_is_predicted_there():
+    torch.manual_seed(4)
+    field, clouds = LocalField(), torch.rand(2, 700, 3) - 0.5
+    sided = field.sided(clouds)
+    assert torch.equal(sided[..., :3], clouds)
+    torch.testing.assert_close(sided[..., 3:], field.normals(clouds, clouds))
+    places = torch.rand(2, 9, 3) - 0.5
+    torch.testing.assert_close(field(sided, places), field.matter(sided, places)[..., 0])
+
+
+def test_the_sides_of_a_shell_are_learned_and_the_matter_between_them():
+    """A ball in a ball: points of both surfaces alike, which normals tell apart."""
+    rng = np.random.default_rng(0)
+    learning = local.LocalLearning(64, torch.device("cpu"))
+    learning.begin_stage()
+    for iteration in range(150):
+        learning.learn(shells(rng), iteration, 3e-3)
+    batch = shells(rng)
+    sided = learning.field.sided(batch.cloud)
+    assert (sided[..., 3:] * batch.normals).sum(2).gt(0.0).float().mean() > 0.95
+    inside = learning.field(sided, batch.points) > 0.0
+    assert (inside == batch.occupied).float().mean() > 0.9
+
+
+def shells(rng, samples=4):
+    """Clouds, normals and query points of shells about the origin, 0.1 thick."""
+    around = rng.normal(size=(samples, 512, 3))
+    around /= np.linalg.norm(around, axis=2, keepdims=True)
+    inner = np.arange(512)[:, None] % 2
+    radius = rng.uniform(0.25, 0.4, (samples, 1, 1))
+    points = rng.uniform(-0.5, 0.5, (samples, 256, 3))
+    away = np.linalg.norm(points, axis=2) - radius[..., 0]
+    tensors = [(radius - 0.1 * inner) * around, points, np.where(inner, -around, around)]
+    cloud, points, normals = (torch.tensor(array, dtype=torch.float32) for array in tensors)
+    nothing = torch.zeros(samples, 0)
+    occupied = torch.tensor((away < 0.0) & (away > -0.1))
+    return Batch(
+        torch.arange(samples), cloud, nothing, points, occupied, 256, nothing, normals=normals
+    )
 
 
 @torch.no_grad()
 def test_a_fine_grid_is_evaluated_near_points_and_beside_the_surface():
     torch.manual_seed(3)
     field, cloud = LocalField(), 0.2 * torch.rand(60, 3)
+    sided = field.sided(cloud[None])
 
     def everywhere(resolution):
-        return field(cloud[None], grid_centres(resolution)[None])[0].double().numpy()
+        return field(sided, grid_centres(resolution)[None])[0].double().numpy()
 
-    field.head[-1].bias -= np.median(everywhere(8))  # half of it inside
+    field.matter.head[-1].bias -= np.median(everywhere(8))  # half of it inside
     outline = Outline(field, cloud)
     np.testing.assert_allclose(outline.on_grid(8).reshape(-1), everywhere(8), atol=1e-5)
     for R in (16, 32):
@@ -159,9 +207,21 @@ def test_it_learns_beside_all_else_which_stays_the_same_and_goes_on_where_it_was
     plain = train(Training(TINY, "box", boxes, tmp_path / "plain"))
     run = resumed_exactly(Training(LOCAL, "box", boxes, tmp_path / "local"), 3)
     terms = [r["terms"] for r in run.metrics() if r.get("terms")]
-    losses = [some.pop("local") for some in terms]
+    losses = {name: [some.pop(name) for some in terms] for name in ("local", "local_normals")}
     assert terms == [r["terms"] for r in plain.metrics() if r.get("terms")]
-    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:3])
+    assert np.mean(losses["local"][-5:]) < 0.8 * np.mean(losses["local"][:3])
+    assert np.mean(losses["local_normals"][-5:]) < np.mean(losses["local_normals"][:3])
+
+
+def test_the_best_checkpoint_has_the_last_local_field_which_no_validation_measures(boxes, tmp_path):
+    often = {**LOCAL.schedule.model_dump(), "validate_every": 1, "learning_rate": 0.2}
+    recipe = PPDRecipe.model_validate({**LOCAL.model_dump(), "schedule": often})
+    run = train(Training(recipe, "box", boxes, tmp_path))
+    best, last = (read_checkpoint(run.path / name) for name in (BEST, LATEST))
+    measured = [line["validation"]["rec"] for line in run.metrics() if line.get("validation")]
+    assert best.iteration == 1 + int(np.argmin(measured)) < last.iteration
+    assert digest(best.state["local"]) == digest(last.state["local"])
+    assert digest(best.state["model"]) != digest(last.state["model"])
 
 
 def test_where_nothing_is_inside_no_part_has_a_surface():

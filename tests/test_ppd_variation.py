@@ -1,5 +1,7 @@
 """Training objects varied: what is asked of them afterwards is as true as before."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -115,6 +117,34 @@ def test_points_spread_over_the_cube_stay_so_and_know_what_is_free(split):
     counts = torch.histogramdd(even, bins=[4, 4, 4], range=[-0.5, 0.5] * 3).hist.flatten()
     wanted = len(even) / 64
     assert (counts - wanted).abs().max() < 6.0 * wanted**0.5
+
+
+def test_normals_stay_upright_on_what_is_stretched_and_mirrored(split):
+    """A ball becomes an ellipsoid, on which they go like x / a^2."""
+    batch = split.batch(range(len(split)), SPEC, 32, torch.Generator().manual_seed(0))
+    out = torch.nn.functional.normalize(torch.randn(batch.cloud.shape), dim=2)
+    batch = replace(batch, cloud=0.3 * out, normals=out)
+    mirrored = is_mirrored(batch.chance, True)
+    variation = Variation.of(batch.chance, mirrored, aims(split, DRAWER).of(batch.rows), WILD)
+    varied, _ = variation.batch(batch)
+    expected = (varied.cloud - variation.shift[:, None]) / variation.scale[:, None] ** 2
+    expected /= expected.norm(dim=2, keepdim=True)
+    torch.testing.assert_close(varied.normals, expected)
+
+
+def test_the_points_of_a_batch_keep_their_normals(split):
+    """Of boxes, along an axis, on whose faces the points lie."""
+    spec = replace(SPEC, sides=True)
+    batch = split.for_batches(spec).batch([3, 1], spec, 32, torch.Generator().manual_seed(0))
+    stored = {
+        tuple(point): normal for row in (1, 3) for point, normal in
+        zip(unpacked(split.surface[row]).tolist(), split.normals[row].tolist(), strict=True)
+    }  # fmt: skip
+    for point, normal in zip(
+        batch.cloud.flatten(0, 1).tolist(), (127 * batch.normals).flatten(0, 1), strict=True
+    ):
+        assert normal.round().tolist() == stored[tuple(point)]
+    assert split.batch([0], SPEC, 32, None).normals is None
 
 
 def test_without_chances_and_settings_nothing_changes(split):

@@ -228,7 +228,7 @@ class Course:
         with given_back(SHARDS):
             training = next(self.windows).to(self.held_out.surface.device)
             self.learner.begin(training, self.what.beside, notify)
-            return training.for_batches()
+            return training.for_batches(self.learner.inputs)
 
     def keep(self, name: str) -> None:
         """Write a checkpoint of where it stands."""
@@ -263,6 +263,10 @@ class Course:
             if (loss := next(iter(checked.values()))) < self.best:
                 self.best, saves = loss, True
                 self.keep(BEST)
+        if last and self.learner.unjudged and (self.run.path / BEST).is_file():
+            best, now = read_checkpoint(self.run.path / BEST), self.learner.state()
+            state = best.state | {name: now[name] for name in self.learner.unjudged}
+            self.run.keep(replace(best, state=state), BEST)
         if saves:
             self.keep(LATEST)
         return values, checked

@@ -9,7 +9,7 @@ imports a method; METHODS and entry points of the group `articugen.methods` say 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -60,6 +60,10 @@ class Learner(Protocol):
 
     inputs: BatchSpec
     """What batches and held-out objects must hold."""
+
+    unjudged: Sequence[str] = ()
+    """Keys of `state` that `validate` does not measure: of these the best checkpoint has the
+    last."""
 
     @property
     def parameters(self) -> int | None:

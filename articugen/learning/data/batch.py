@@ -23,7 +23,8 @@ class BatchSpec:
         groups: which instances show one object, where that is used: `found` in their clouds, or
             `given` by the data set.
         hidden: whether it is wanted which voxels of the finest grid are not free.
-        normals: whether the normals of surface points are wanted.
+        normals: whether the normals of surface points are wanted, for `Learner.begin`.
+        sides: whether they are, of the cloud, for `Batch.normals`.
         motions: whether it is wanted how the true parts have moved, for `Batch.rest` and `joints`.
         chances: how many random numbers the learner asks for each sample.
     """
@@ -43,6 +44,7 @@ class BatchSpec:
     groups: Literal["found", "given"] = "given"
     hidden: bool = False
     normals: bool = False
+    sides: bool = False
     motions: bool = False
     chances: int = 0
 
@@ -83,6 +85,7 @@ class Batch:
             for; a cloud that a depth camera sees has no parts, and so none.
         joints: `kind` (B, J), `state` (B, J), `axis` and `pivot` (B, J, 3) likewise, as a shard has
             them; J of the object with most, 0 where another has no such joint.
+        normals: (B, n, 3) outward ones of the surface at the cloud's points, if asked for.
     """
 
     rows: Tensor
@@ -94,3 +97,4 @@ class Batch:
     chance: Tensor
     rest: Tensor | None = None
     joints: dict[str, Tensor] = field(default_factory=dict)
+    normals: Tensor | None = None

@@ -97,9 +97,10 @@ class PackedSplit:
         some = _changed(self, lambda tensor: tensor[at])
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
-    def for_batches(self) -> "PackedSplit":
-        """Without what batches do not hold, and `Learner.begin` alone examines."""
-        return replace(self, normals=self.normals[:, :0].clone(), hidden=self.hidden[:, :0].clone())
+    def for_batches(self, spec: BatchSpec) -> "PackedSplit":
+        """Without what such batches do not hold, and `Learner.begin` alone examines."""
+        normals = self.normals if spec.sides else self.normals[:, :0].clone()
+        return replace(self, normals=normals, hidden=self.hidden[:, :0].clone())
 
     def to(self, device: torch.device) -> "PackedSplit":
         """Return the same in the memory of a device."""
@@ -117,8 +118,8 @@ class PackedSplit:
         """
         at = index_on(self.surface.device, rows)
         column = at[:, None]
-        cloud, where = self._clouds(at, spec, rng)
-        part = self.part[column, where] if self.part.shape[1] else self.part[at]
+        cloud, drawn = self._clouds(at, spec, rng)
+        part = self.part[column, drawn] if self.part.shape[1] else self.part[at]
         points: list[Tensor] = []
         occupied: list[Tensor] = []
         if spec.grid_points:
@@ -145,6 +146,7 @@ class PackedSplit:
             at, cloud, part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance,
             at_rest(cloud, part, self.motion[at]) if spec.motions and not spec.partial else None,
             {name: values[at] for name, values in self.joints.items()},
+            self.normals[column, drawn].float() / 127.0 if spec.sides else None,
         )  # fmt: skip
 
     def _clouds(
@@ -355,7 +357,7 @@ def _read(
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
             "surface_part": spec.parts or spec.motions,
-            "surface_normals": spec.normals,
+            "surface_normals": spec.normals or spec.sides,
             "uniform_points": spec.uniform_points,
             "uniform_label": spec.uniform_points,
             "near_points": spec.near_points,

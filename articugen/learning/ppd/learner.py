@@ -111,12 +111,14 @@ class PPDLearner(Predictor):
             groups=settings.warm_start.groups,
             hidden=settings.warm_start.share > 0,
             normals=settings.warm_start.share > 0,
+            sides=settings.model.local_points > 0,
             chances=CHANCES if settings.vary else 0,
         )
         with made(seed, device):
             self.model, self.discriminator = PPD(settings.model), Discriminator()
             few = settings.model.local_points
             self.local = LocalLearning(few, device) if few else None
+            self.unjudged = ("local", "local_adam") if few else ()
         self.model.to(device)
         self.discriminator.to(device)
         self.mirrors = settings.vary.mirror

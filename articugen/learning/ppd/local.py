@@ -4,8 +4,12 @@ A part's own field knows its shape by six numbers of a box and a code, which lea
 This one sees the cloud itself: for each place the nearest points of all, of the first eighth and
 of the first 32, so that few neighbours show what is near and what is far (POCO, Boulch and Marlet
 2022, has one scale). It decides what is inside of the object, and the parts whose that is.
+
+On which side of a wall matter is follows from points farther off. So the outward normals of the
+cloud are predicted first, in the same way, and the field knows those of the neighbours.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -28,48 +32,82 @@ FEWEST, EIGHTH = 32, 8
 SCALES = (0.25, 0.1, 0.04)
 """Lengths by which offsets to neighbours are divided: of the coarsest cloud first."""
 
-_WIDTH, _HEAD = 32, 128
+SAMPLES = 2
+"""Of a batch, whose points' normals are all predicted: as many as there is time for."""
+
+NORMALS = 128
+"""Points of each cloud, about, at which normals are learned in an iteration."""
+
 _COARSEST = 8  # the grid that is evaluated everywhere
 _BLOCK = 512  # places at a time, whose activations stay in the cache
 
 
-class LocalField(nn.Module):
-    """Field of the whole object, above 0 inside, at places (B, m, 3) beside clouds (B, n, 3) of the
-    unit frame."""
+class Around(nn.Module):
+    """Function (B, m, outputs) of places (B, m, 3) and the points of clouds around them, unit
+    frame; clouds (B, n, 3 + inputs) have `inputs` numbers more at each point."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int, head: int, *, inputs: int = 0, outputs: int = 1) -> None:
         super().__init__()
-        self.near = nn.ModuleList([_neighbour_layers() for _ in SCALES])
-        self.weight = nn.ModuleList([nn.Linear(_WIDTH, 1) for _ in SCALES])
+        self.near = nn.ModuleList([
+            nn.Sequential(
+                nn.Linear(7 + inputs, width), nn.ReLU(),
+                nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width),
+            )
+            for _ in SCALES
+        ])  # fmt: skip
+        self.weight = nn.ModuleList([nn.Linear(width, 1) for _ in SCALES])
         self.head = nn.Sequential(
-            nn.Linear(3 + 2 * _WIDTH * len(SCALES), _HEAD), nn.ReLU(),
-            nn.Linear(_HEAD, _HEAD), nn.ReLU(), nn.Linear(_HEAD, 1),
+            nn.Linear(3 + 2 * width * len(SCALES), head), nn.ReLU(),
+            nn.Linear(head, head), nn.ReLU(), nn.Linear(head, outputs),
         )  # fmt: skip
 
     def forward(self, cloud: Tensor, places: Tensor) -> Tensor:
-        """Return (B, m)."""
         B, m, _ = places.shape
-        near = nearest_points(cloud, places)
+        near = nearest_points(cloud[..., :3], places)
         at = (2.0 * places).reshape(B * m, 3)
         features = [at]
         for some, scale, layers, weight in zip(
             near.unbind(2), SCALES, self.near, self.weight, strict=True
         ):
-            points = gather_points(cloud, some.flatten(1)).view(B, m, NEIGHBOURS, 3)
-            offset = ((points - places[:, :, None]) / scale).reshape(B * m, NEIGHBOURS, 3)
+            points = gather_points(cloud, some.flatten(1)).view(B, m, NEIGHBOURS, -1)
+            offset = ((points[..., :3] - places[:, :, None]) / scale).reshape(B * m, NEIGHBOURS, 3)
             far = torch.linalg.vector_norm(offset, dim=2, keepdim=True)
             where = at[:, None].expand(-1, NEIGHBOURS, -1)
-            around = layers(torch.cat([offset, far, where], 2))
+            besides = points[..., 3:].reshape(B * m, NEIGHBOURS, -1)
+            around = layers(torch.cat([offset, far, where, besides], 2))
             pooled = (around * weight(around).softmax(1)).sum(1)
             features += [around.amax(1), pooled]
-        return self.head(torch.cat(features, 1)).view(B, m)
+        return self.head(torch.cat(features, 1)).view(B, m, -1)
+
+
+class LocalField(nn.Module):
+    """Field of the whole object, above 0 inside, at places (B, m, 3) beside clouds of the unit
+    frame with their predicted normals (B, n, 6)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.normals = Around(16, 64, outputs=3)
+        self.matter = Around(32, 128, inputs=3)
+
+    def forward(self, sided: Tensor, places: Tensor) -> Tensor:
+        """Return (B, m)."""
+        return self.matter(sided, places)[..., 0]
+
+    @torch.no_grad()
+    def sided(self, cloud: Tensor) -> Tensor:
+        """Return clouds (B, n, 3) with their predicted normals, the shorter the less sure, (B, n,
+        6); no gradient goes through it."""
+        cell = ((cloud + 0.5) * 16.0).long() * torch.tensor([256, 16, 1], device=cloud.device)
+        order = cell.sum(2).argsort(dim=1)  # one beside the other, for the sake of the kernel
+        normals = in_blocks(self.normals, cloud, gather_points(cloud, order))
+        return torch.cat([cloud, gather_points(normals, order.argsort(dim=1))], 2)
 
 
 class LocalLearning:
     """A local field, and where its optimiser stands.
 
     Args:
-        points: how many query points of a sample are learned from in an iteration.
+        points: how many query points of each of SAMPLES are learned from in an iteration.
     """
 
     def __init__(self, points: int, device: torch.device) -> None:
@@ -80,15 +118,28 @@ class LocalLearning:
         self.descent = Descent(self.field)
 
     def learn(self, batch: Batch, iteration: int, rate: float) -> Terms:
-        """Return the cross-entropy at some of the batch's query points, others in each iteration,
-        which one step was made to lower."""
-        every = max(batch.points.shape[1] // self.points, 1)
-        some = slice(iteration % every, None, every)
+        """Return the cross-entropy at some of the batch's query points, and the mean square by
+        which some normals are wrong, others in each iteration; one step was made to lower both."""
+        some, turned = (
+            slice(iteration % every, None, every)
+            for every in (
+                max(batch.points.shape[1] // self.points, 1),
+                max(batch.cloud.shape[1] // NORMALS, 1),
+            )
+        )
+        assert batch.normals is not None  # asked for by the learner
+        normals = batch.normals[:, turned]
+        sided = self.field.sided(batch.cloud[:SAMPLES])
 
         def differ() -> Terms:
-            logits = self.field(batch.cloud, batch.points[:, some])
-            wanted = batch.occupied[:, some].to(logits)
-            return {"local": binary_cross_entropy_with_logits(logits, wanted)}
+            logits = self.field(sided, batch.points[:SAMPLES, some])
+            wanted = batch.occupied[:SAMPLES, some].to(logits)
+            wrong = self.field.normals(batch.cloud, batch.cloud[:, turned])
+            wrong = wrong - normals.to(wrong)
+            return {
+                "local": binary_cross_entropy_with_logits(logits, wanted),
+                "local_normals": wrong.square().sum(2).mean(),
+            }
 
         terms = differ()
         self.descent.step(terms, differ, iteration, rate)
@@ -110,7 +161,7 @@ class Outline:
     """
 
     def __init__(self, field: LocalField, cloud: Tensor) -> None:
-        self.field, self.cloud = field, cloud
+        self.field, self.sided = field, field.sided(cloud[None])
         self.on_grid = cache(self._on_grid)
 
     def _on_grid(self, resolution: int) -> Floats:
@@ -119,16 +170,23 @@ class Outline:
         if R <= _COARSEST or R % 2:
             return self._at(grid_centres(R)).reshape(R, R, R)
         grid = doubled(self.on_grid(R // 2)[None])
-        holds = occupied_voxels(self.cloud[None], R)[0].cpu().numpy() > 0
+        holds = occupied_voxels(self.sided[..., :3], R)[0].cpu().numpy() > 0
         near = widened(holds, 1, (0, 1, 2)) | beside_surfaces(grid)
         return renewed(grid, near, lambda centres: self._at(centres)[None])[0]
 
     @torch.no_grad()
     def _at(self, places: Tensor) -> Floats:
         """Return (m,), the field at places (m, 3)."""
-        blocks = places.to(self.cloud).split(_BLOCK if spares(self.cloud) else 64 * _BLOCK)
-        some = [self.field(self.cloud[None], block[None])[0] for block in blocks]
-        return torch.cat(some).double().cpu().numpy()
+        values = in_blocks(self.field, self.sided, places[None].to(self.sided))
+        return values[0].double().cpu().numpy()
+
+
+def in_blocks(
+    function: Callable[[Tensor, Tensor], Tensor], cloud: Tensor, places: Tensor
+) -> Tensor:
+    """Return a function of clouds and places (B, m, 3), of not too many places at a time."""
+    blocks = places.split(_BLOCK if spares(cloud) else 64 * _BLOCK, dim=1)
+    return torch.cat([function(cloud, block) for block in blocks], 1)
 
 
 def nearest_points(cloud: Tensor, places: Tensor) -> Tensor:
@@ -145,9 +203,3 @@ def nearest_points(cloud: Tensor, places: Tensor) -> Tensor:
     far = torch.cdist(places, cloud)
     some = [far[..., :first].topk(NEIGHBOURS, largest=False).indices for first in firsts]
     return torch.stack(some, 2)
-
-
-def _neighbour_layers() -> nn.Sequential:
-    W = _WIDTH
-    layers = [nn.Linear(7, W), nn.ReLU(), nn.Linear(W, W), nn.ReLU(), nn.Linear(W, W)]
-    return nn.Sequential(*layers)

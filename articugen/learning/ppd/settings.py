@@ -44,9 +44,10 @@ class ModelSettings(Section):
             the layer that reads z^s 20 times larger, so that shapes differ from the start.
         encoder: `points`, the paper's PointNet; or `both`, that and one which sees how full the
             cells of a grid are, and so which ones lie side by side.
-        local_points: number of query points of each sample at which a field learns where matter
-            is from the points of the cloud around, apart from all else (`ppd.local`); parts then
-            decide whose it is. 0 is no such field; the paper has none.
+        local_points: number of query points of two samples of a batch at which a field learns where
+            matter is from the points of the cloud around, and from their normals, which it learns
+            to predict, apart from all else (`ppd.local`); parts then decide whose it is. 0 is no
+            such field; the paper has none.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from articugen.learning.data.batch import Batch
 from articugen.learning.ppd.network import rest_states
@@ -84,9 +85,11 @@ class Variation:
             1,
         )
         freed = torch.cat([beyond, torch.zeros_like(batch.occupied[:, batch.spread :])], 1)
-        varied = replace(
-            batch, cloud=self.moved(batch.cloud), points=points, occupied=batch.occupied & ~freed
-        )
+        normals = batch.normals
+        if normals is not None:
+            normals = normalize(normals / self.scale[:, None], dim=2)
+        cloud, occupied = self.moved(batch.cloud), batch.occupied & ~freed
+        varied = replace(batch, cloud=cloud, points=points, occupied=occupied, normals=normals)
         return varied, freed
 
     def targets(self, aim: Targets, revolute: int) -> Targets:
