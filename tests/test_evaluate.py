@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from instances import SMALL, hinged_box, nothing
 from ppd_data import write_boxes
+from shapes import box
 
 from articugen.core.errors import UnfitData
 from articugen.core.geometry import transform
@@ -59,6 +60,24 @@ def test_the_truth_scores_full_marks(boxes):
     assert result.labels == result.dominant == (0, 1, 2)
     assert (result.objects, result.instances) == (2, 6)
     assert seen == ["box-0", "box-1", "box-2", "box-3"]
+
+
+def test_surfaces_that_no_view_sees_do_not_count(boxes):
+    """As true points are on none: of a box in a box, but of one that is beside it."""
+
+    def measured(*more):
+        def made(instance):
+            shapes = [box((0.6, 0.6, 0.6)), *more]
+            whole = np.concatenate([np.asarray(shape.triangles) for shape in shapes])
+            return replace(exactly(instance), whole=whole)
+
+        return evaluate(boxes, made, FEW).means
+
+    alone, hidden = measured(), measured(box((0.2, 0.2, 0.2)))
+    beside = measured(box((0.2, 0.2, 0.2), (0.9, 0.0, 0.0)))
+    assert hidden == alone
+    for name in ("chamfer_l1", "f_score"):
+        assert beside[name] != pytest.approx(alone[name], rel=1e-2)
 
 
 def test_objects_at_a_time_change_nothing(boxes):

@@ -32,6 +32,7 @@ from articugen.evaluation.results import (
 )
 from articugen.meshes.distances import distance, sample
 from articugen.meshes.marching_cubes import zero_level
+from articugen.pictures.solids import shown
 
 Instances = tuple[Instance, Instance]
 Predicted = tuple[Reconstruction, Reconstruction]
@@ -140,11 +141,12 @@ class Tally:
         if predicted.whole is None:
             return matched
         surface = dequantize(instance.surface_points)
-        to_predicted = np.minimum(distance(surface, predicted.whole), DIAGONAL)
+        outer = predicted.whole[shown(predicted.whole)]  # the true points are on such surfaces
+        to_predicted = np.minimum(distance(surface, outer), DIAGONAL)
         to_true = np.full(1, DIAGONAL)
-        if len(predicted.whole):
+        if len(outer):
             rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-            drawn = sample(predicted.whole, self.protocol.surface_samples, rng)
+            drawn = sample(outer, self.protocol.surface_samples, rng)
             to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
         self.add(
             chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),

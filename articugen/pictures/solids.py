@@ -6,17 +6,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from articugen.core.arrays import Floats, Ints
+from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.geometry import (
+    bounds,
     look_along,
     nearest_weights,
     pick_by_weight,
     points_in_triangles,
 )
+from articugen.core.recipe import ViewSettings
 from articugen.core.records import LabelledMesh, Views
 from articugen.pictures.camera import Camera
 from articugen.pictures.light import SurfaceCloud
 from articugen.rendering.rasterizer import render
+from articugen.rendering.views import fusion_views
 
 CREASE = np.cos(np.radians(35.0))
 """Where a face is turned further than this from the mean around a corner, the corner is sharp."""
@@ -83,11 +86,9 @@ def draw_solid(
     """
     size = (camera.size, camera.size)
     triangles, group = solid.triangles, solid.group
-    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    mesh = LabelledMesh(triangles.reshape(-1, 3), faces, np.zeros(len(faces), np.uint8))
     focal, cx, cy = (np.array([number]) for number in (camera.focal, camera.cx, camera.cy))
     views = Views("pinhole", camera.T_camera_world[None], focal, focal, cx, cy, *size)
-    maps = render(mesh, views)
+    maps = render(soup(triangles), views)
     assert maps.depth is not None
     assert maps.face is not None
     depth, face = maps.depth[0].astype(np.float64), maps.face[0]
@@ -103,6 +104,25 @@ def draw_solid(
         normals[hit] = np.where(away, -smooth, smooth)
         drawn[hit] = values[group[which]]
     return depth, normals, drawn
+
+
+def shown(triangles: Floats) -> Bools:
+    """Return (F,) which of triangles (F, 3, 3), unit frame, are seen in views from all around, half
+    as fine as those of a data set; those without area, which stand for points, count as seen."""
+    mesh, (a, b, c) = soup(triangles), np.moveaxis(triangles, 1, 0)
+    are_seen: Bools = np.all(np.cross(b - a, c - a) == 0.0, axis=1)
+    if not are_seen.all():
+        views = fusion_views(ViewSettings(resolution=128), bounds(mesh.vertices))
+        face = render(mesh, views, keep_depth=False).face
+        assert face is not None
+        are_seen |= np.isin(np.arange(len(triangles)), face)
+    return are_seen
+
+
+def soup(triangles: Floats) -> LabelledMesh:
+    """Return triangles (F, 3, 3) as a mesh of one part, of which no two share a corner."""
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    return LabelledMesh(triangles.reshape(-1, 3), faces, np.zeros(len(faces), np.uint8))
 
 
 def spread(triangles: Floats, count: int) -> SurfaceCloud:
