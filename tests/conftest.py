@@ -5,6 +5,7 @@
 """
 
 import random
+import shutil
 import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -95,3 +96,21 @@ def chromium() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def viser() -> Any:
     return pytest.importorskip("viser", reason="viser is not installed")
+
+
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Return a shard of the instances that `hinged_box` makes, and what is recorded of it."""
+    from instances import hinged_box  # noqa: PLC0415 - takes a second
+    from ppd_data import attributes_of  # noqa: PLC0415
+
+    from articugen.store.writer import write_shard  # noqa: PLC0415
+
+    path = tmp_path_factory.mktemp("shard") / "train-00000.h5"
+    return path, write_shard(path, hinged_box(), attributes_of())
+
+
+@pytest.fixture
+def copy(written: tuple[Path, Any], tmp_path: Path) -> Path:
+    """Return a copy of it, to be changed."""
+    return Path(shutil.copy(written[0], tmp_path / "copy.h5"))
