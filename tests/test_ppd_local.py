@@ -90,8 +90,6 @@ def test_each_point_of_a_cloud_has_the_normal_that_is_predicted_there():
     sided = field.sided(clouds)
     assert torch.equal(sided[..., :3], clouds)
     torch.testing.assert_close(sided[..., 3:], field.normals(clouds, clouds))
-    places = torch.rand(2, 9, 3) - 0.5
-    torch.testing.assert_close(field(sided, places), field.matter(sided, places)[..., 0])
 
 
 def test_the_sides_of_a_shell_are_learned_and_the_matter_between_them():

@@ -85,7 +85,7 @@ class Batch:
             for; a cloud that a depth camera sees has no parts, and so none.
         joints: `kind` (B, J), `state` (B, J), `axis` and `pivot` (B, J, 3) likewise, as a shard has
             them; J of the object with most, 0 where another has no such joint.
-        normals: (B, n, 3) outward ones of the surface at the cloud's points, if asked for.
+        normals: (B, n, 3) outward ones at points of a complete cloud, if sides were asked for.
     """
 
     rows: Tensor

@@ -141,12 +141,12 @@ class PackedSplit:
                 occupied.append(inside)
         spread = spec.grid_points + spec.uniform_points
         chance = uniform(rng, len(at), spec.chances, at.device)
-        cloud = unpacked(cloud)
+        cloud, whole = unpacked(cloud), not spec.partial
         return Batch(
             at, cloud, part, torch.cat(points, 1), torch.cat(occupied, 1), spread, chance,
-            at_rest(cloud, part, self.motion[at]) if spec.motions and not spec.partial else None,
+            at_rest(cloud, part, self.motion[at]) if spec.motions and whole else None,
             {name: values[at] for name, values in self.joints.items()},
-            self.normals[column, drawn].float() / 127.0 if spec.sides else None,
+            self.normals[column, drawn].float() / 127.0 if spec.sides and whole else None,
         )  # fmt: skip
 
     def _clouds(
