@@ -115,7 +115,7 @@ def test_after_an_error_no_other_object_goes_on(boxes):
     assert sorted(asked) == [(f"box-{k}", 0) for k in range(4)]
 
 
-def test_labels_are_told_by_a_finer_grid_as_well(boxes):
+def test_labels_and_surfaces_are_measured_on_a_finer_grid_as_well(boxes):
     """The finer surfaces alone decide, and the votes of the others."""
 
     def confused(instance):
@@ -129,10 +129,13 @@ def test_labels_are_told_by_a_finer_grid_as_well(boxes):
     assert "finer_label_iou" not in evaluate(boxes, exactly, FEW).means
 
     def finer_than_asked(instance):
-        return replace(exactly(instance), is_finer=True)
+        exact = exactly(instance)
+        return replace(exact, whole=np.zeros((0, 3, 3)), finer=exact.whole)
 
     means = evaluate(boxes, finer_than_asked, FEW, finer=confused).means
     assert means["label_iou"] == means["finer_label_iou"] == 1.0
+    assert (means["f_score"], means["finer_f_score"]) == (0.0, 100.0)
+    assert means["finer_chamfer_l1"] < 1e-9 < means["chamfer_l1"]
 
 
 def test_nothing_predicted_counts_as_failed(boxes):

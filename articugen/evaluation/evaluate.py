@@ -53,9 +53,8 @@ def evaluate(
         category: what the data sets must be of.
         on: the other data set; whatever the split, its objects are tested. The training objects
             of `data` vote for labels in either case.
-        finer: the same on a finer grid, for a `finer_label_iou` by the same votes: the paper names
-            a grid for F-score and Chamfer-L1, but none for labels. Parts that are finer than their
-            grid are not made again.
+        finer: the same on a finer grid, for a `finer_label_iou` by the same votes, `finer_f_score`
+            and `finer_chamfer_l1`. What is finer than its grid is not made again.
         jobs: objects at a time, each in a thread, in which `reconstruct` and `finer` are called;
             what is measured stays the same.
         on_object: called with the name of each object, those that vote first.
@@ -76,8 +75,11 @@ def evaluate(
             tally.measure(instance, predicted, first)
             first = first or (instance, predicted)
             if finer and predicted.whole is not None:
-                fine = predicted if predicted.is_finer else finer(instance)
+                fine = predicted if predicted.finer is not None else finer(instance)
                 tally.add_label_iou(*nearest_parts(instance, fine, protocol), "finer_")
+                tally.add_surface(
+                    instance, fine.whole if fine.finer is None else fine.finer, "finer_"
+                )
         return tally
 
     tally = measures(protocol, *votes)

@@ -46,7 +46,8 @@ class Reconstruction:
         T_part: (P, 4, 4) the rigid transform of each part from a rest frame that is the same in
             every pose, nan of a part that has none; None of a method that knows no motion.
         joints: None of a method that knows none.
-        is_finer: whether the surfaces of parts are drawn finer than the grid that was asked for.
+        finer: (H, 3, 3) the surface of the whole as fine as those of the parts, where these are
+            drawn finer than the grid that was asked for.
         labelling: where other surfaces label points, those, as `triangles` and `part`.
     """
 
@@ -57,7 +58,7 @@ class Reconstruction:
     parts: int
     T_part: Floats | None = None
     joints: PartJoints | None = None
-    is_finer: bool = False
+    finer: Floats | None = None
     labelling: tuple[Floats, NDArray[np.int64]] | None = None
 
     def motion_to(self, posed: "Reconstruction") -> Floats | None:

@@ -57,7 +57,10 @@ SHAPES = (
     Metric("3", "by transforms", "EPE x 100, by transforms", "epe_transform_all", 100.0, 3,
            paper.EPE),
     Metric("4", "F-score", "F-score", "f_score", 1.0, 2, paper.F_SCORE),
+    Metric("4", "finer", "F-score, finer meshes", "finer_f_score", 1.0, 2, paper.F_SCORE),
     Metric("4", "Chamfer-L1", "Chamfer-L1 x 100", "chamfer_l1", 100.0, 3, paper.CHAMFER_L1),
+    Metric("4", "finer", "Chamfer-L1 x 100, finer meshes", "finer_chamfer_l1", 100.0, 3,
+           paper.CHAMFER_L1),
 )  # fmt: skip
 POSES = (
     Metric("", "part IoU", "", "matched_part_iou", 100.0, 1),

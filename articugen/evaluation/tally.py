@@ -138,22 +138,28 @@ class Tally:
                     grid, *surface_of(instance, self.protocol.points)
                 ),
             )
-        if predicted.whole is None:
-            return matched
+        if predicted.whole is not None:
+            self.add(no_surface=float(not len(predicted.whole)))
+        self.add_surface(instance, predicted.whole)
+        return matched
+
+    def add_surface(self, instance: Instance, whole: Floats | None, prefix: str = "") -> None:
+        """Add F-score and Chamfer-L1 of what views see of a predicted surface (F, 3, 3), if any."""
+        if whole is None:
+            return
         surface = dequantize(instance.surface_points)
-        outer = predicted.whole[shown(predicted.whole)]  # the true points are on such surfaces
+        outer = whole[shown(whole)]  # the true points are on such surfaces
         to_predicted = np.minimum(distance(surface, outer), DIAGONAL)
         to_true = np.full(1, DIAGONAL)
         if len(outer):
             rng = generator(0, "evaluate", instance.object_id, instance.state_index)
             drawn = sample(outer, self.protocol.surface_samples, rng)
             to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
-        self.add(
-            chamfer_l1=metrics.chamfer_l1(to_true, to_predicted),
-            f_score=100.0 * metrics.f_score(to_true, to_predicted, self.protocol.f_threshold),
-            no_surface=float(not len(predicted.whole)),
-        )
-        return matched
+        f_score = metrics.f_score(to_true, to_predicted, self.protocol.f_threshold)
+        self.add(**{
+            f"{prefix}chamfer_l1": metrics.chamfer_l1(to_true, to_predicted),
+            f"{prefix}f_score": 100.0 * f_score,
+        })  # fmt: skip
 
     def _note_joint_states(self, instance: Instance, shape: Reconstruction) -> None:
         if shape.joints is None:

@@ -84,9 +84,9 @@ def reconstruction_of(
         labelling = _of_parts(there, surfaces)
         grids = divided(whole(drawn), grids, surfaces)
         surfaces, outline = meshes(grids)
-    inside = grids.max(0)
+    inside, finer = grids.max(0), None
     if drawn != resolution and whole:
-        inside = whole(resolution)
+        inside, finer = whole(resolution), outline
         outline = meshes(inside[None])[1]
     return Reconstruction(
         *_of_parts(there, surfaces),
@@ -95,7 +95,7 @@ def reconstruction_of(
         parts=parts,
         T_part=T_part,
         joints=joints,
-        is_finer=drawn > resolution,
+        finer=finer,
         labelling=labelling,
     )
 
@@ -115,7 +115,6 @@ def reconstruction_of_surfaces(surfaces: Sequence[Floats], inside: Floats) -> Re
         whole=zero_level(inside).triangles,
         occupied=inside > 0.0,
         parts=len(surfaces),
-        is_finer=True,
     )
 
 
