@@ -28,8 +28,8 @@ settings.load_profile("same")
 NEED_TORCH = (
     "bae", "blocks", "bsp", "cells", "cli_learn", "dataset", "fields", "loop", "method", "nsd",
     "one_part", "optimisers", "ppd_bench", "ppd_depth", "ppd_devices", "ppd_fused", "ppd_local",
-    "ppd_losses", "ppd_model", "ppd_reconstruct", "ppd_release", "ppd_variation", "ppd_warm_start",
-    "race", "runs", "tensorboard", "viewer_run",
+    "ppd_losses", "ppd_model", "ppd_reconstruct", "ppd_release", "ppd_states", "ppd_variation",
+    "ppd_warm_start", "race", "runs", "tensorboard", "viewer_run",
 )  # fmt: skip
 collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NEED_TORCH]
 

@@ -129,6 +129,7 @@ def test_recipes_extend_one_another():
         ("model: {revolute: [[1, 1, 0]]}", "not of unit length"),
         ("data: {grid_points: 0}", "must be more than 0"),
         ("{model: {local_points: 9}, data: {surface_points: 11}}", "surface_points of 12 or more"),
+        ("model: {states: points}", "needs model.part_boxes and a warm start"),
         ("losses: {vol: -1}", "losses.vol"),
         ("extends: ppd_papre", "did you mean 'ppd_paper'"),
         ("[1, 2]", "a recipe is a mapping"),

@@ -1,6 +1,7 @@
 """Training objects varied: what is asked of them afterwards is as true as before."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -202,10 +203,15 @@ def test_glasses_are_not_mirrored(split, lean, monkeypatch, tmp_path):
     ]
     assert len(said) == 2 + (lean > 0)
     batch = split.batch(list(range(len(split))), SPEC, 32, torch.Generator())
-    varied, asked = learner.prepared(batch)
+    varied, asked, aim = learner.prepared(batch)
     assert asked
     terms = asked(learner.model(varied.cloud), torch.zeros(len(split), 8, varied.points.shape[1]))
     assert all(bool(term.isfinite()) for term in terms.values())
+    parts = torch.eye(8)[:, torch.arange(64) % 3].expand(len(split), -1, -1)
+    monkeypatch.setattr(learner.model, "fields", lambda *_: SimpleNamespace(product=parts))
+    predicted = learner.model(varied.cloud)
+    read = learner.reading.learn(learner.model, predicted, varied.cloud, aim, 0, 1e-3)
+    assert 0.0 < read["states"].item() < np.pi
     flipped = (varied.cloud[:, :, 1] * batch.cloud[:, :, 1]).sum(1) < 0
     assert bool(flipped.any()) == (lean == 0)
 

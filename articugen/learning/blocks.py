@@ -328,6 +328,28 @@ class Descent:
         self.optimiser.load(state)
 
 
+class Beside:
+    """Learning of a network that a model does not learn from.
+
+    Args:
+        name: of its weights in a checkpoint.
+    """
+
+    def __init__(self, name: str, network: nn.Module) -> None:
+        self.name, self._network = name, network
+
+    def begin_stage(self) -> None:
+        """Make a new optimiser."""
+        self.descent = Descent(self._network)
+
+    def state(self) -> dict[str, Any]:
+        return {self.name: self._network.state_dict(), f"{self.name}_adam": self.descent.state()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        self._network.load_state_dict(state[self.name])
+        self.descent.load(state[f"{self.name}_adam"])
+
+
 def _blame(network: nn.Module, terms: Terms) -> str:
     """Return the terms that are not finite, or else those whose gradient is not."""
     values = [value.detach() for value in terms.values()]

@@ -15,7 +15,7 @@ from torch import Tensor
 from articugen.core.records import Floats
 from articugen.core.tables import counted
 from articugen.evaluation.reconstruction import Reconstruction
-from articugen.learning.blocks import Descent
+from articugen.learning.blocks import Beside, Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.fields import VALIDATION_GRID, Meshes, held_out_fit
@@ -26,9 +26,10 @@ from articugen.learning.ppd.local import LocalLearning, Outline
 from articugen.learning.ppd.network import PPD, Prediction
 from articugen.learning.ppd.reconstruct import reconstruction_of
 from articugen.learning.ppd.settings import PPDRecipe, directions_of
+from articugen.learning.ppd.states import StateLearning
 from articugen.learning.ppd.warm import terms as warm_start
 from articugen.learning.ppd.warm.found import discovered
-from articugen.learning.ppd.warm.targets import is_one_sided, likely, targets
+from articugen.learning.ppd.warm.targets import Targets, is_one_sided, likely, targets
 from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
 from articugen.learning.tensors import made
 
@@ -45,12 +46,14 @@ class Predictor(Learner):
         points: how many points of a cloud are examined; None means all.
         residual_direction: whether r^z counts.
         local: what says where matter is, if the recipe has it; None leaves that to the parts.
+        reading: what corrects the states, likewise.
     """
 
     model: PPD
     points: int | None
     residual_direction: bool
     local: LocalLearning | None = None
+    reading: StateLearning | None = None
 
     @property
     def parameters(self) -> int:
@@ -72,7 +75,13 @@ class Predictor(Learner):
         """Part i's surface encloses where its field is above 0 and the greatest of all, unless
         `meshes` says otherwise; what is inside of any a local field decides, if there is one."""
         whole = Outline(self.local.field, self._examined(cloud)).on_grid if self.local else None
-        return reconstruction_of(self.model, self.predict(cloud), resolution, meshes, whole=whole)
+        predicted, states = self.predict(cloud), None
+        if self.reading:
+            few = self._examined(cloud)[None]
+            states = self.reading.reader.settled(self.model, predicted, few)
+        return reconstruction_of(
+            self.model, predicted, resolution, meshes, whole=whole, states=states
+        )
 
     def _examined(self, cloud: Floats) -> Tensor:
         """Return what is examined of a cloud (n, 3)."""
@@ -119,6 +128,8 @@ class PPDLearner(Predictor):
             few = settings.model.local_points
             self.local = LocalLearning(few, device) if few else None
             self.unjudged = ("local", "local_adam") if few else ()
+            reads = settings.model.states == "points"
+            self.reading = StateLearning(settings.model, device) if reads else None
         self.model.to(device)
         self.discriminator.to(device)
         self.mirrors = settings.vary.mirror
@@ -138,8 +149,11 @@ class PPDLearner(Predictor):
         optimiser = self.settings.schedule.optimiser
         self.descent = Descent(self.model, optimiser)
         self.discriminator_descent = Descent(self.discriminator, optimiser)
-        if self.local:
-            self.local.begin_stage()
+        for beside in self._beside():
+            beside.begin_stage()
+
+    def _beside(self) -> list[Beside]:
+        return [beside for beside in (self.local, self.reading) if beside]
 
     def begin(
         self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
@@ -162,12 +176,14 @@ class PPDLearner(Predictor):
                 )
             self.targets = targets(training, discoveries, rows, model, mirrored=self.mirrors)
 
-    def prepared(self, batch: Batch) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None]:
-        """Return the batch, varied where the recipe says so, and what a warm start asks of the
-        prediction for it, while there is one."""
+    def prepared(
+        self, batch: Batch
+    ) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None, Targets | None]:
+        """Return the batch, varied where the recipe says so, what a warm start asks of the
+        prediction for it, while there is one, and the targets of the batch that it found."""
         warm, vary, turning = self.settings.warm_start, self.settings.vary, self.turning
         if not warm.share:
-            return batch, None
+            return batch, None, None
         mirrored = is_mirrored(batch.chance, self.mirrors)
         aim = self.targets.of(batch.rows, mirrored)
         owner = aim.owner(batch.points, batch.occupied)
@@ -180,7 +196,7 @@ class PPDLearner(Predictor):
             owner = owner.masked_fill(freed, -1)
             aim, some = variation.targets(aim, turning), batch.cloud[:, ::every]
         if self.iteration >= warm.share * self.settings.schedule.iterations:
-            return batch, None
+            return batch, None, aim
 
         def asked(predicted: Prediction, part_logits: Tensor) -> Terms:
             terms = warm_start.aim_terms(predicted, part_logits, owner, aim, warm, turning)
@@ -191,7 +207,7 @@ class PPDLearner(Predictor):
                 terms["aim_labels"] = warm.labels * wrong
             return terms
 
-        return batch, asked
+        return batch, asked, aim
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
         """Return one step of the discriminator and one of the model."""
@@ -200,7 +216,7 @@ class PPDLearner(Predictor):
             self._begin_stage()
         self.at(iteration)
         rate = plan.rate_at(iteration)
-        batch, aim = self.prepared(batch)
+        batch, more, aim = self.prepared(batch)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
         posed, judged = None, {}
@@ -216,19 +232,21 @@ class PPDLearner(Predictor):
             weigh=weigh,
             discriminator=self.discriminator,
             posed=posed,
-            aim=aim,
+            aim=more,
         )
         terms = minimize(predicted)
         self.descent.step(terms, lambda: minimize(predict()), iteration, rate)
         if self.local:
             judged |= self.local.learn(batch, iteration, rate)
+        if self.reading and aim:
+            judged |= self.reading.learn(self.model, predicted, batch.cloud, aim, iteration, rate)
         return terms | judged
 
     def check(self) -> None:
         self.discriminator_descent.check()
         self.descent.check()
-        if self.local:
-            self.local.descent.check()
+        for beside in self._beside():
+            beside.descent.check()
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return how well held-out objects are reconstructed, and how well their motions are
@@ -240,14 +258,16 @@ class PPDLearner(Predictor):
         return {by: measures[by], **measures} if by in measures else measures
 
     def state(self) -> dict[str, Any]:
-        return {
+        state = {
             "iteration": self.iteration,
             "model": self.model.state_dict(),
             "discriminator": self.discriminator.state_dict(),
             "adam": self.descent.state(),
             "discriminator_adam": self.discriminator_descent.state(),
-            **(self.local.state() if self.local else {}),
         }
+        for beside in self._beside():
+            state |= beside.state()
+        return state
 
     def load(self, state: dict[str, Any]) -> None:
         self.at(max(state["iteration"], 0))
@@ -255,8 +275,8 @@ class PPDLearner(Predictor):
         self.discriminator.load_state_dict(state["discriminator"])
         self.descent.load(state["adam"])
         self.discriminator_descent.load(state["discriminator_adam"])
-        if self.local:
-            self.local.load(state)
+        for beside in self._beside():
+            beside.load(state)
 
 
 def validation(

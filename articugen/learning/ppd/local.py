@@ -11,7 +11,6 @@ cloud are predicted first, in the same way, and the field knows those of the nei
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +19,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from articugen.core.records import Floats
 from articugen.discovery.clouds import widened
-from articugen.learning.blocks import Descent, occupied_voxels
+from articugen.learning.blocks import Beside, occupied_voxels
 from articugen.learning.cpu.batches import gather_points, spares, takes_kernels
 from articugen.learning.cpu.kernels import nearest_of_firsts
 from articugen.learning.data.batch import Batch
@@ -103,8 +102,8 @@ class LocalField(nn.Module):
         return torch.cat([cloud, gather_points(normals, order.argsort(dim=1))], 2)
 
 
-class LocalLearning:
-    """A local field, and where its optimiser stands.
+class LocalLearning(Beside):
+    """Learning of a local field.
 
     Args:
         points: how many query points of each of SAMPLES are learned from in an iteration.
@@ -112,10 +111,7 @@ class LocalLearning:
 
     def __init__(self, points: int, device: torch.device) -> None:
         self.points, self.field = points, LocalField().to(device)
-
-    def begin_stage(self) -> None:
-        """Make a new optimiser."""
-        self.descent = Descent(self.field)
+        super().__init__("local", self.field)
 
     def learn(self, batch: Batch, iteration: int, rate: float) -> Terms:
         """Return the cross-entropy at some of the batch's query points, and the mean square by
@@ -144,13 +140,6 @@ class LocalLearning:
         terms = differ()
         self.descent.step(terms, differ, iteration, rate)
         return terms
-
-    def state(self) -> dict[str, Any]:
-        return {"local": self.field.state_dict(), "local_adam": self.descent.state()}
-
-    def load(self, state: dict[str, Any]) -> None:
-        self.field.load_state_dict(state["local"])
-        self.descent.load(state["local_adam"])
 
 
 class Outline:

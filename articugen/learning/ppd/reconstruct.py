@@ -41,16 +41,20 @@ def reconstruction_of(
     *,
     dense: int = fields.DENSE,
     whole: Callable[[int], Floats] | None = None,
+    states: Tensor | None = None,
 ) -> Reconstruction:
     """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3.
 
     Args:
         meshes, dense, whole: as `fields.reconstruction_of`.
+        states: (1, J) of the joints, if those are known better than predicted: motions are by
+            them, surfaces as predicted.
     """
     settings, pose, shape = model.settings, predicted.pose, predicted.shape
     R, J = len(settings.revolute), settings.joints
+    states = pose.state if states is None else states
     with torch.no_grad():
-        inverse = model.motion(pose)
+        inverse = model.motion(pose, states)
     T_inverse = np.tile(np.eye(4), (J + 1, 1, 1))
     T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
@@ -67,7 +71,7 @@ def reconstruction_of(
             kind=np.array(
                 [JointKind.FIXED] + [JointKind.REVOLUTE] * R + [JointKind.PRISMATIC] * (J - R)
             ),
-            state=np.append(0.0, pose.state[0].double().cpu().numpy()),
+            state=np.append(0.0, states[0].double().cpu().numpy()),
             pivot=pose.pivot[0].double().cpu().numpy(),
             direction=np.concatenate([[[0, 0, 1.0]], pose.direction[0].double().cpu().numpy()]),
         ),

@@ -48,6 +48,8 @@ class ModelSettings(Section):
             matter is from the points of the cloud around, and from their normals, which it learns
             to predict, apart from all else (`ppd.local`); parts then decide whose it is. 0 is no
             such field; the paper has none.
+        states: `pose`, joint states are those of the pose decoder; `points`, these corrected by
+            where the points of the parts lie (`ppd.states`), which is learned from a warm start.
     """
 
     revolute: tuple[Direction, ...] = ((0, 0, 1), (0, 0, -1), (0, 1, 0))
@@ -60,6 +62,7 @@ class ModelSettings(Section):
     latent_start: Literal["release", "he"] = "release"
     encoder: Literal["points", "both"] = "points"
     local_points: int = Field(default=0, ge=0)
+    states: Literal["pose", "points"] = "pose"
 
     @model_validator(mode="after")
     def _fits_together(self) -> "ModelSettings":
@@ -222,6 +225,11 @@ class PPDRecipe(TrainRecipe):
         if self.model.local_points and self.data.surface_points < NEIGHBOURS:
             raise ValueError(
                 f"model.local_points: 0, or data.surface_points of {NEIGHBOURS} or more"
+            )
+        if self.model.states == "points" and not (self.model.part_boxes and self.warm_start.share):
+            raise ValueError(
+                "model.states: points needs model.part_boxes and a warm start, which finds how far "
+                "parts have moved; set pose instead"
             )
         if self.vary and not self.warm_start.share:
             raise ValueError(
