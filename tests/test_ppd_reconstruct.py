@@ -54,6 +54,23 @@ def test_a_model_s_surfaces_lie_where_its_field_is_zero(part_frame, monkeypatch)
         np.testing.assert_allclose(apply(found.T_part[i], local[i]), [0.1, 0.2, 0.3], atol=1e-5)
 
 
+def test_states_of_parts_with_boxes_count_from_where_they_are_at_rest():
+    torch.manual_seed(2)
+    settings = ModelSettings(form="release", part_boxes=True)
+    model = PPD(settings).eval()
+    with torch.no_grad():
+        predicted = model(torch.rand(1, 300, 3) - 0.5)
+        settled = predicted.pose.state + 0.01
+    for states, more in ((None, 0.0), (settled, 0.01)):
+        found = reconstruction_of(model, predicted, 8, states=states)
+        rest = np.r_[0.0, [0.3] * 3, [0.05] * 4]
+        expected = np.r_[0.0, predicted.pose.state[0].numpy() + more] - rest
+        np.testing.assert_allclose(found.joints.state, expected, atol=1e-6)
+        for i in (4, 5, 6, 7):
+            slid = found.joints.state[i] * found.joints.direction[i]
+            np.testing.assert_allclose(found.T_part[i, :3, 3], slid, atol=1e-6)
+
+
 def test_a_part_is_not_far_outside_of_its_box():
     """Within `ROOM` times the box its field is what the model says, beyond it below 0."""
     torch.manual_seed(1)

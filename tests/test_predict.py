@@ -59,6 +59,10 @@ def test_a_rig_moves_as_predicted(tmp_path):
     limit = robot.joint_map["joint_1"].limit
     assert limit.lower == pytest.approx(-0.4)
     assert limit.upper == pytest.approx(np.pi - 0.4)
+    beyond = dataclasses.replace(found.joints, state=np.array([0.0, -0.1, 1.1]))
+    robot = URDF.load(str(write_rig(dataclasses.replace(found, joints=beyond), tmp_path)))
+    limits = [robot.joint_map[f"joint_{i}"].limit for i in (1, 2)]
+    assert (limits[0].lower, limits[1].upper) == (0.0, 0.0)  # as given is always within
 
 
 def test_parts_without_joints_are_fixed(tmp_path):

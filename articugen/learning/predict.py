@@ -241,6 +241,6 @@ def _moving(joints: PartJoints, i: int, origin: Floats, unit: float) -> Joint:
         child=f"part_{i}",
         origin=origin,
         axis=joints.direction[i] / np.linalg.norm(joints.direction[i]),
-        lower=-state,
-        upper=most - state,
+        lower=min(-state, 0.0),
+        upper=max(most - state, 0.0),
     )

@@ -103,12 +103,16 @@ class PPD(nn.Module):
     def motion(self, pose: Pose, state: Tensor | None = None) -> InverseMotion:
         """B_i^{-1} at the predicted joint states, or at `state` (B, J)."""
         R = len(self.settings.revolute)
-        state = pose.state if state is None else state
-        if self.settings.part_boxes:
-            state = state - rest_states(state, R)
+        state = self.since_rest(pose.state if state is None else state)
         return inverse_motion(
             pose.frames, state, pose.pivot[:, 1 : 1 + R], R, self.settings.part_frame
         )
+
+    def since_rest(self, state: Tensor) -> Tensor:
+        """Return how far states (B, J) are from those in which parts are at rest."""
+        if not self.settings.part_boxes:
+            return state
+        return state - rest_states(state, len(self.settings.revolute))
 
     def fields(self, shape: ShapeCode, motion: InverseMotion, points: Tensor) -> PartLogits:
         """Return the fields of all parts at points (B, n, 3)."""

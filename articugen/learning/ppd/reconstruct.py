@@ -54,7 +54,7 @@ def reconstruction_of(
     R, J = len(settings.revolute), settings.joints
     states = pose.state if states is None else states
     with torch.no_grad():
-        inverse = model.motion(pose, states)
+        inverse, states = model.motion(pose, states), model.since_rest(states)
     T_inverse = np.tile(np.eye(4), (J + 1, 1, 1))
     T_inverse[:, :3, :3] = inverse.rotation[0].double().cpu().numpy()
     T_inverse[:, :3, 3] = inverse.offset[0].double().cpu().numpy()
