@@ -23,6 +23,7 @@ TRAINING = """
 extends: ppd_quick
 data: {surface_points: 64, uniform_points: 32, near_points: 32, band_points: 0, varying_points: 0,
   validation_objects: 1}
+model: {states: pose}
 warm_start: {share: 0.0}
 vary: {stretch: 0.0, mirror: false}
 schedule: {batch: 2, optimiser: adam, stages: [{resolution: 8, iterations: 3}], log_every: 1,
