@@ -114,3 +114,12 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 def copy(written: tuple[Path, Any], tmp_path: Path) -> Path:
     """Return a copy of it, to be changed."""
     return Path(shutil.copy(written[0], tmp_path / "copy.h5"))
+
+
+@pytest.fixture
+def own_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that ARTICUGEN_SOURCES names."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    monkeypatch.setenv("ARTICUGEN_SOURCES", str(folder))
+    return folder

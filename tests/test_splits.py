@@ -6,7 +6,7 @@ from hashlib import sha256
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_source import add
+from source_models import add
 
 from articugen.sources.refs import CategorySettings
 from articugen.sources.source import open_source
