@@ -12,7 +12,7 @@ from instances import RICH
 
 import articugen as ag
 from articugen.export.items import Options
-from articugen.export.parts import part_meshes
+from articugen.export.parts import part_solids
 
 BOXES = {"train": 2, "test": 1, "states": 2, "recipe": RICH}  # for `conftest.boxes`
 MESHES = {"from_grids": True}
@@ -66,5 +66,5 @@ def state_in_metres(row: ag.Row) -> list[float]:
 
 def canonical_meshes(data: ag.DataSet, row: ag.Row) -> list[np.ndarray]:
     """The vertices of each part in metres, canonical pose."""
-    meshes = part_meshes(data.of(row.object_id), Options(from_grids=True))
-    return [row.to_metres(mesh.vertices) for mesh in meshes]
+    solids = part_solids(data.of(row.object_id), Options(from_grids=True))
+    return [row.to_metres(solid.mesh.vertices) for solid in solids]

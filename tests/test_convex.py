@@ -13,7 +13,7 @@ from shapes import box
 
 from articugen.core.records import Mesh
 from articugen.meshes import convex
-from articugen.meshes.convex import agreement, convex_pieces
+from articugen.meshes.convex import agreement, apart, convex_pieces
 from articugen.meshes.simpler import hull
 
 
@@ -40,26 +40,26 @@ def test_a_carcass_is_its_boards(wall: float, shelves: int) -> None:
     mesh = carcass(wall, shelves)
     pieces = convex_pieces(mesh)
     assert len(pieces) == 5 + shelves
-    iou, cavities = agreement(mesh, pieces)
+    iou, cavities = agreement(pieces, mesh)
     assert (iou > 0.99, cavities) == (True, [])
 
 
 def test_crossing_bars_are_two_pieces_not_three() -> None:
     mesh = meshed(trimesh.boolean.union([box((3.0, 0.5, 0.5)), box((0.5, 3.0, 0.5))]))
     pieces = convex_pieces(mesh)
-    assert (len(pieces), agreement(mesh, pieces)[0] > 0.99) == (2, True)
+    assert (len(pieces), agreement(pieces, mesh)[0] > 0.99) == (2, True)
 
 
 def test_round_solids_have_few_corners_and_bent_ones_few_pieces() -> None:
     ball = meshed(trimesh.creation.icosphere(subdivisions=4))
     (piece,) = convex_pieces(ball)
     assert len(piece.vertices) <= 64
-    assert agreement(ball, [piece])[0] > 0.8
+    assert agreement([piece], ball)[0] > 0.8
     ring = meshed(trimesh.creation.torus(1.0, 0.1))
     pieces = convex_pieces(ring)
     assert len(pieces) < 32
     assert all(len(piece.vertices) <= 64 for piece in pieces)
-    assert agreement(ring, pieces)[0] > 0.93
+    assert agreement(pieces, ring)[0] > 0.93
 
 
 def test_pieces_are_convex_the_same_each_time_and_at_any_size() -> None:
@@ -79,9 +79,9 @@ def test_pieces_fill_what_a_solid_encloses_and_that_is_stated() -> None:
     plain, inner = meshed(box((0.3, 2.0, 1.0))), meshed(box((0.15, 1.0, 0.5)))
     every = np.concatenate([plain.vertices, inner.vertices])
     hollow = Mesh(every, np.concatenate([plain.faces, inner.faces[:, ::-1] + len(plain.vertices)]))
-    assert agreement(plain, [plain]) == (pytest.approx(1.0), [])
+    assert agreement([plain], plain) == (pytest.approx(1.0), [])
     (piece,) = convex_pieces(hollow)
-    iou, cavities = agreement(hollow, [piece])
+    iou, cavities = agreement([piece], hollow)
     assert iou == pytest.approx(7 / 8)
     assert cavities == pytest.approx([0.075])
 
@@ -90,10 +90,10 @@ def test_what_hulls_hold_besides_counts_against_them() -> None:
     ell = meshed(
         trimesh.boolean.union([box((2.0, 1.0, 1.0)), box((1.0, 1.0, 1.0), (-0.5, 1.0, 0.0))])
     )
-    assert agreement(ell, [hull(ell.vertices)])[0] == pytest.approx(6 / 7)
+    assert agreement([hull(ell.vertices)], ell)[0] == pytest.approx(6 / 7)
     half = meshed(box((1.0, 1.0, 1.0), (0.5, 0.0, 0.0)))
-    assert agreement(ell, [half])[0] == pytest.approx(1 / 3)
-    assert agreement(ell, [half, half])[0] == pytest.approx(1 / 3)  # what two hold counts once
+    assert agreement([half], ell)[0] == pytest.approx(1 / 3)
+    assert agreement([half, half], ell)[0] == pytest.approx(1 / 3)  # what two hold counts once
 
 
 @pytest.mark.parametrize("thick", [1.0, 1e-2, 1e-4])
@@ -101,17 +101,41 @@ def test_a_disc_of_many_corners_keeps_its_volume_with_few(thick: float) -> None:
     disc = meshed(trimesh.creation.cylinder(1.0, thick, sections=400))
     (piece,) = convex_pieces(disc)
     assert len(piece.vertices) <= 64
-    assert agreement(disc, [piece])[0] > 0.99  # of 32 corners above and below: 0.9936
+    assert agreement([piece], disc)[0] > 0.99  # of 32 corners above and below: 0.9936
 
 
 def test_a_mesh_that_is_not_watertight_is_its_hull_and_none_is_nothing() -> None:
     whole = box((1.0, 2.0, 3.0))
     open_one = Mesh(np.asarray(whole.vertices), np.asarray(whole.faces[1:], np.int32))
     (piece,) = convex_pieces(open_one)
-    assert agreement(meshed(whole), [piece]) == (pytest.approx(1.0), [])
-    assert agreement(open_one, [piece])[0] == 0.0
+    assert agreement([piece], meshed(whole)) == (pytest.approx(1.0), [])
+    assert agreement([piece], open_one)[0] == 0.0
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     assert convex_pieces(nothing) == ()
+
+
+def test_what_several_closed_meshes_are_is_cut_apart_into_them_first() -> None:
+    """A tray whose walls run through its floor and past one another: five boards, five pieces, and
+    no space counts twice."""
+    low, at = (0.1, 2.0, 1.0), 0.95
+    walls = [box(low, (at, 0, 0)), box(low, (-at, 0, 0))]
+    walls += [box((2.0, 0.1, 1.0), (0, y, 0)) for y in (at, -at)]
+    boards = [box((2.0, 2.0, 0.1), (0, 0, -0.45)), *walls]
+    whole, closed = meshed(trimesh.boolean.union(boards)), [meshed(board) for board in boards]
+    solids = apart(whole, closed)
+    assert len(solids) == 5
+    volumes = [trimesh.Trimesh(solid.vertices, solid.faces).volume for solid in solids]
+    assert sum(volumes) == pytest.approx(trimesh.Trimesh(whole.vertices, whole.faces).volume)
+    pieces = convex_pieces(*solids)
+    assert (len(pieces), agreement(pieces, whole)[0]) == (5, pytest.approx(1.0))
+
+
+def test_closed_meshes_that_are_not_all_of_a_solid_are_none_of_it() -> None:
+    whole, one = carcass(0.1, 1), meshed(box((1.0, 1.0, 0.1), (0.0, 0.0, 0.95)))
+    assert apart(whole, [one]) == apart(whole, []) == (whole,)
+    open_one = Mesh(one.vertices, one.faces[1:])
+    assert apart(one, [open_one]) == (one,)
+    assert apart(one, [one] * (convex._SOLIDS + 1)) == (one,)
 
 
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.01, 0.5))

@@ -28,7 +28,7 @@ from articugen.core.geometry import (
 )
 from articugen.core.records import is_material
 from articugen.export.items import Options
-from articugen.export.parts import part_boxes, part_meshes
+from articugen.export.parts import part_boxes, part_solids
 from articugen.meshes.points import numbers_of_file
 
 BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
@@ -43,8 +43,8 @@ def drawers(tmp_path_factory: pytest.TempPathFactory) -> ag.DataSet:
 @pytest.fixture(scope="module")
 def solids(drawers: ag.DataSet) -> np.ndarray:
     """(P, 2, 3) boxes of the solids of its parts, canonical pose."""
-    meshes = part_meshes(drawers, Options(resolution=64))
-    return np.stack([bounds(mesh.vertices) for mesh in meshes])
+    made = part_solids(drawers, Options(resolution=64))
+    return np.stack([bounds(solid.mesh.vertices) for solid in made])
 
 
 def test_boxes_of_parts_are_those_of_their_solids(drawers, solids):

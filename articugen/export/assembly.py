@@ -13,9 +13,9 @@ import trimesh
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.parts import MetricJoint, metric_joints, part_meshes, part_names
+from articugen.export.parts import MetricJoint, metric_joints, part_names, part_solids
 from articugen.export.target import Files
-from articugen.meshes.convex import agreement, convex_pieces
+from articugen.meshes.convex import agreement, apart, convex_pieces
 from articugen.meshes.model_text import obj_text
 from articugen.meshes.painting import Look, looks
 
@@ -85,21 +85,25 @@ def bodies(item: Item, target: Files) -> tuple[Body, ...]:
     row = canonical(item.rows)
     joints, names = metric_joints(row), part_names(row)
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
-    built = []
-    for part, unit_mesh in enumerate(part_meshes(item.rows, target.options, colours=True)):
-        mesh = replace(unit_mesh, vertices=row.to_metres(unit_mesh.vertices) - at[part])
-        joint = joints[part - 1] if part else None
-        hulls = convex_pieces(mesh) if target.options.collision else ()
-        solid = inertia(mesh, DENSITY)
-        built.append(Body(names[part], at[part], unit_mesh, mesh, hulls, solid, joint))
-    if target.options.collision:
-        lines = []
-        for body in built:
-            iou, cavities = agreement(body.mesh, body.hulls)
+    built, fits = [], []
+    for part, solid in enumerate(part_solids(item.rows, target.options, colours=True)):
+        mesh, *closed = (
+            replace(one, vertices=row.to_metres(one.vertices) - at[part])
+            for one in (solid.mesh, *solid.closed)
+        )
+        hulls = ()
+        if target.options.collision:
+            solids = apart(mesh, closed)
+            hulls = convex_pieces(*solids)
+            iou, cavities = agreement(hulls, *solids)
             volumes = [float(f"{volume:.4g}") for volume in cavities]
-            line = {"part": body.name, "pieces": len(body.hulls), "iou": round(iou, 4)}
-            lines.append({**line, "cavities": volumes})
-        target.write(f"{item.key}/collision.json", json.dumps(lines, indent=1).encode())
+            fit = {"part": names[part], "pieces": len(hulls), "iou": round(iou, 4)}
+            fits.append({**fit, "cavities": volumes})
+        joint = joints[part - 1] if part else None
+        filled = inertia(mesh, DENSITY)
+        built.append(Body(names[part], at[part], solid.mesh, mesh, hulls, filled, joint))
+    if target.options.collision:
+        target.write(f"{item.key}/collision.json", json.dumps(fits, indent=1).encode())
     return tuple(built)
 
 

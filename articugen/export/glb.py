@@ -7,7 +7,7 @@ import numpy as np
 
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, of_objects
-from articugen.export.parts import metric_joints, part_meshes
+from articugen.export.parts import metric_joints, part_solids
 from articugen.export.target import Files
 from articugen.meshes.glb import Moving, Part, glb_of
 from articugen.meshes.painting import looks
@@ -17,7 +17,7 @@ def _write(item: Item, target: Files) -> None:
     row = canonical(item.rows)
     moving = {j.part: j for j in metric_joints(row)}
     parts = []
-    for k, mesh in enumerate(part_meshes(item.rows, target.options, colours=True)):
+    for k, (mesh, _) in enumerate(part_solids(item.rows, target.options, colours=True)):
         vertices, joint = row.to_metres(mesh.vertices), moving.get(k)
         name = joint.name if joint else row.parts[0].name or "part_0"
         how = joint and Moving(joint.name, joint.kind, joint.axis, joint.lower, joint.upper)

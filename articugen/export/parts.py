@@ -7,6 +7,7 @@ its model as `verify --replay` does; or, where that cannot be, from the finest g
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,15 @@ from articugen.store.rows import Row
 _WITHIN = 1e-4  # of the surface that was extracted, unit frame: finer than that is exact
 
 
-def part_meshes(rows: DataSet, options: Options, *, colours: bool = False) -> tuple[Mesh, ...]:
-    """Make the mesh of each part of the rows' object, part 0 first; with the `colours` of the
+class PartSolid(NamedTuple):
+    """A part's watertight mesh, and the closed ones that its model consists of, unit frame."""
+
+    mesh: Mesh
+    closed: tuple[Mesh, ...] = ()
+
+
+def part_solids(rows: DataSet, options: Options, *, colours: bool = False) -> tuple[PartSolid, ...]:
+    """Make the solid of each part of the rows' object, part 0 first; with the `colours` of the
     model, where it states some and is read.
 
     Raises:
@@ -32,7 +40,7 @@ def part_meshes(rows: DataSet, options: Options, *, colours: bool = False) -> tu
         ArticugenError: the model cannot be made again; see `again.prepared_again`.
     """
     if options.from_grids:
-        return _from_grid(canonical(rows))
+        return tuple(map(PartSolid, _from_grid(canonical(rows))))
     from articugen.instance import again  # noqa: PLC0415 - the stages take a second
 
     object_id = rows[0].object_id
@@ -46,7 +54,10 @@ def part_meshes(rows: DataSet, options: Options, *, colours: bool = False) -> tu
         ) from error
     try:
         meshes = again.part_meshes(prepared, options.resolution, colours=colours)
-        return tuple(simpler(mesh, _WITHIN) for mesh in meshes)
+        return tuple(
+            PartSolid(simpler(mesh, _WITHIN), again.closed_meshes(prepared, part))
+            for part, mesh in enumerate(meshes)
+        )
     except RejectedInstance as error:
         raise LeftOut(f"{object_id}: {error}") from error
 

@@ -13,7 +13,7 @@ from articugen.core.geometry import apply, voxel_centres
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.labels import grid, need, part_values
-from articugen.export.parts import part_meshes
+from articugen.export.parts import part_solids
 from articugen.export.target import Files, Target
 from articugen.meshes.model_text import obj_text
 from articugen.store.dataset import DataSet
@@ -28,7 +28,7 @@ _TAIL = "sample_wise_normalize"
 
 def _write(item: Item, target: Files) -> None:
     _check(canonical(item.rows))
-    meshes = part_meshes(item.rows, target.options)
+    solids = part_solids(item.rows, target.options)
     for row in item.rows:
         folder = f"data/sample/{_pose(row)}"
         for resolution in _RESOLUTIONS:
@@ -39,7 +39,7 @@ def _write(item: Item, target: Files) -> None:
         surface = {"points": row.surface.points, "normals": row.surface.normals}
         target.write_arrays(f"{folder}/surface_points_whole_shape_{_TAIL}.npz", surface)
         target.write_arrays(f"{folder}/motion_param_{_TAIL}.npz", _motion(row))
-        for part, mesh in enumerate(meshes):
+        for part, (mesh, _) in enumerate(solids):
             posed = apply(row.parts[part].motion, mesh.vertices)
             text = obj_text([(posed, mesh.faces)])
             target.write(f"{folder}/surface_mesh_{_TAIL}_{part}.obj", text.encode())

@@ -9,8 +9,8 @@ from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.core.files import check_place
 from articugen.core.geometry import apply
 from articugen.core.recipe import Recipe
-from articugen.core.records import ArticulatedObject, Mesh, ResolvedObject
-from articugen.fusion import SOLIDS, PosedSolids, face_areas
+from articugen.core.records import ArticulatedObject, LabelledMesh, Mesh, ResolvedObject
+from articugen.fusion import SOLIDS, PosedSolids, closed_piece, face_areas, welded
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
@@ -125,3 +125,17 @@ def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -
             some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its]))
             mesh = coloured_like(mesh, whole.vertices[whole.faces[its]], some)
         yield mesh
+
+
+def closed_meshes(prepared: Prepared, part: int) -> tuple[Mesh, ...]:
+    """Return the closed pieces of which a part is modelled, canonical pose, unit frame."""
+    whole = prepared.mesh
+    its = whole.part_of_face == part
+    alone = LabelledMesh(whole.vertices, whole.faces[its], whole.part_of_face[its])
+    number, place = closed_piece(alone), welded(alone.vertices)
+    corner = alone.vertices[np.unique(place, return_index=True)[1]]
+    meshes = []
+    for piece in np.unique(number[number >= 0]):
+        used, faces = np.unique(place[alone.faces[number == piece]], return_inverse=True)
+        meshes.append(Mesh(corner[used], faces.reshape(-1, 3).astype(np.int32)))
+    return tuple(meshes)

@@ -1,6 +1,8 @@
 """Solids as few convex pieces: cut along faces that meet in inner corners, until the pieces' hulls
 hold hardly anything else; then joined where the hull of two holds hardly more than the solid.
 
+What was modelled of several closed meshes is cut apart into these first.
+
 Volumes are exact (manifold3d), so walls may be as thin as they like.
 """
 
@@ -21,7 +23,9 @@ from articugen.meshes.simpler import manifold, mesh_of
 
 _CUT = 0.025  # of the solid's volume: pieces are cut until their hulls hold no more besides it
 _JOINED = 0.01  # and so much more once they are joined
-_MOST = 128  # pieces before they are joined: curved shells could be cut for ever
+_MOST = 192  # cuts: curved shells could be cut for ever
+_SOLIDS = 512  # closed meshes, more than which are not told apart
+_SAME = 0.97  # IoU of closed meshes with the solid that is extracted from them
 _CORNERS = 64  # of a piece: more than that PhysX does not take on a GPU
 _ROUGH = 0.05  # of the mean thickness, and 1e-3 of the size: finer faces only take time
 _SLIVER = 1e-4  # of the volume: less is not worth a piece
@@ -51,28 +55,51 @@ class _Pair(NamedTuple):
     most: Floats
 
 
-def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Return convex meshes of at most 64 vertices that together fill about the space of a
-    watertight `mesh`, and of what it encloses; of another mesh its hull, if it has one."""
-    solid = manifold(mesh)
-    if solid.is_empty():  # it is not watertight
-        hulls = [Manifold.hull_points(mesh.vertices)] if len(mesh.vertices) > 3 else []
+def apart(mesh: Mesh, closed: Sequence[Mesh]) -> tuple[Mesh, ...]:
+    """Return what a watertight `mesh` is of: the `closed` meshes that it was extracted from, each
+    without those larger, if together they fill the same space; else itself."""
+    solids = sorted(map(manifold, closed), key=lambda solid: -solid.volume())
+    union = Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    if not 0 < len(solids) <= _SOLIDS or _iou(union, manifold(mesh)) < _SAME:
+        return (mesh,)
+    rest, before = [], Manifold()
+    for solid in solids:
+        rest.append(solid - before)
+        before += solid
+    return tuple(mesh_of(solid) for solid in rest if not solid.is_empty())
+
+
+def convex_pieces(*meshes: Mesh) -> tuple[Mesh, ...]:
+    """Return convex meshes of at most 64 vertices that together fill about the space of watertight
+    `meshes`, and of what they enclose; of another mesh its hull, if it has one."""
+    solid = _union(meshes)
+    if solid.is_empty():  # they are not watertight
+        hulls = [Manifold.hull_points(m.vertices) for m in meshes if len(m.vertices) > 3]
     else:
-        volume, size = solid.volume(), float(np.ptp(mesh.vertices, axis=0).max())
-        rough = min(1e-3 * size, _ROUGH * 2.0 * volume / solid.surface_area())
-        hulls = _joined(_cut(solid.simplify(rough), volume, rough), _JOINED * volume)
+        volume = solid.volume()
+        low, high = np.reshape(solid.bounding_box(), (2, 3))
+        rough = min(1e-3 * (high - low).max(), _ROUGH * 2.0 * volume / solid.surface_area())
+        solids = [manifold(mesh).simplify(rough) for mesh in meshes]
+        hulls = _joined(_cut(solids, volume, rough), _JOINED * volume)
     pieces = (_simple(hull) for hull in hulls if not hull.is_empty())
     return tuple(mesh_of(piece) for piece in pieces if not piece.is_empty())
 
 
-def agreement(mesh: Mesh, pieces: Sequence[Mesh]) -> tuple[float, list[float]]:
-    """Return the IoU of a watertight mesh and convex ones, and the volumes of what it encloses."""
-    solid = manifold(mesh)
-    union = Manifold.batch_boolean([manifold(one) for one in pieces], manifold3d.OpType.Add)
-    common = (union ^ solid).volume()
+def agreement(pieces: Sequence[Mesh], *meshes: Mesh) -> tuple[float, list[float]]:
+    """Return the IoU of convex pieces with watertight meshes, and the volumes of what these
+    enclose."""
+    solid = _union(meshes)
     shells = [shell.volume() for shell in solid.decompose()]
-    iou = common / max(union.volume() + solid.volume() - common, 1e-300)
-    return iou, sorted(-volume for volume in shells if volume < 0.0)
+    return _iou(_union(pieces), solid), sorted(-volume for volume in shells if volume < 0.0)
+
+
+def _union(meshes: Iterable[Mesh]) -> Manifold:
+    return Manifold.batch_boolean([manifold(mesh) for mesh in meshes], manifold3d.OpType.Add)
+
+
+def _iou(one: Manifold, other: Manifold) -> float:
+    common = (one ^ other).volume()
+    return common / max(one.volume() + other.volume() - common, 1e-300)
 
 
 def _simple(hull: Manifold) -> Manifold:
@@ -102,10 +129,11 @@ def _parts(*solids: Manifold, least: float) -> list[_Piece]:
     return parts
 
 
-def _cut(solid: Manifold, volume: float, rough: float) -> list[_Piece]:
+def _cut(solids: Sequence[Manifold], volume: float, rough: float) -> list[_Piece]:
     """Cut the piece whose hull holds most besides it, again and again, until little is left."""
-    pieces, convex = _parts(solid, least=_SLIVER * volume), []
-    while pieces and len(pieces) + len(convex) < _MOST:
+    pieces, convex = _parts(*solids, least=_SLIVER * volume), []
+    most = len(pieces) + _MOST
+    while pieces and len(pieces) + len(convex) < most:
         if sum(piece.excess for piece in pieces + convex) < _CUT * volume:
             break
         pieces.sort(key=lambda piece: piece.excess)

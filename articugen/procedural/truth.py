@@ -71,25 +71,16 @@ class Truth:
         cells = self._posed(T_world_link)
         return _holds(_contiguous(points), cells, self.link_of_cell, len(self.links))
 
-    def blocked(
-        self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
-    ) -> NDArray[np.bool_]:
-        """Return (N, K) whether the ray from point i along direction j meets any cell.
-
-        A point inside a cell is blocked in all directions.
-        """
-        cells = self._posed(T_world_link)
-        return _blocked(_contiguous(points), _contiguous(directions), cells, False)
-
     def enclosed(
         self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
     ) -> NDArray[np.bool_]:
-        """Return (N,) whether the rays of each point are blocked along all `directions` (K, 3).
+        """Return (N,) whether the rays of each point meet a cell along all `directions` (K, 3), as
+        those of a point in one do.
 
         With the opposite of the viewing directions: the points that no view sees free.
         """
         cells = self._posed(T_world_link)
-        return _blocked(_contiguous(points), _contiguous(directions), cells, True)[:, -1]
+        return _enclosed(_contiguous(points), _contiguous(directions), cells)
 
     def _posed(self, T_world_link: Mapping[str, Floats]) -> _Cells:
         """Return the cells in the world frame."""
@@ -195,27 +186,27 @@ def _holds(points, cells, link_of_cell, link_count):  # pragma: no cover - compi
 
 
 @kernel
-def _blocked(points, directions, cells, stop_when_free):  # pragma: no cover - compiled
-    """Return which rays meet a cell; after a point's first free ray, if asked, its others stay
-    False."""
+def _enclosed(points, directions, cells):  # pragma: no cover - compiled
+    """Return which points' rays all meet a cell."""
     planes, first_plane, boxes = cells
-    hit = np.zeros((len(points), len(directions)), np.bool_)
+    enclosed = np.ones(len(points), np.bool_)
     for i in range(len(points)):
         last = 0  # The cell that stopped the ray before will often stop the next one.
         p = vector(points, i)
         for j in range(len(directions)):
             way = vector(directions, j)
+            met = False
             for k in range(len(boxes)):
                 c = (last + k) % len(boxes)
                 if _meets_box(p, way, boxes, c) and _meets_cell(
                     p, way, planes, first_plane[c], first_plane[c + 1]
                 ):
-                    hit[i, j] = True
-                    last = c
+                    met, last = True, c
                     break
-            if stop_when_free and not hit[i, j]:
+            if not met:
+                enclosed[i] = False
                 break
-    return hit
+    return enclosed
 
 
 @helper
