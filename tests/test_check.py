@@ -69,6 +69,18 @@ def test_a_missing_face_leaves_its_three_edges_open(tmp_path):
     assert kinds(model)[0] == "open"
 
 
+def test_a_face_without_area_closes_the_crack_that_it_fills():
+    """An edge cut in the middle for one of its faces alone, as simplifying meshes do."""
+    a, b, c = CUBE.faces[0]
+    vertices = np.concatenate([CUBE.vertices, CUBE.vertices[[a, b]].mean(axis=0)[None]])
+    halves = [(a, 8, c), (8, b, c)]
+    crack = counted(trimesh.Trimesh(vertices, [*halves, *CUBE.faces[1:]], process=False))
+    assert (crack.open_edges, crack.flat) == (3, 0)
+    filled = [*halves, (a, b, 8), *CUBE.faces[1:]]
+    found = counted(trimesh.Trimesh(vertices, filled, process=False))
+    assert (found.open_edges, found.turned_edges, found.flat, found.is_closed) == (0, 0, 1, True)
+
+
 def test_a_turned_face_disagrees_with_its_three_neighbours():
     faces = CUBE.faces.copy()
     faces[4] = faces[4][::-1]

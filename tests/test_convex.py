@@ -128,6 +128,8 @@ def test_what_several_closed_meshes_are_is_cut_apart_into_them_first() -> None:
     assert sum(volumes) == pytest.approx(trimesh.Trimesh(whole.vertices, whole.faces).volume)
     pieces = convex_pieces(*solids)
     assert (len(pieces), agreement(pieces, whole)[0]) == (5, pytest.approx(1.0))
+    crossed = trimesh.util.concatenate(boards)  # as one mesh, which winds around some space twice
+    assert len(apart(whole, [meshed(crossed)])) == 5
 
 
 def test_closed_meshes_that_are_not_all_of_a_solid_are_none_of_it() -> None:

@@ -1,9 +1,7 @@
-"""Solids as few convex pieces: cut along faces that meet in inner corners, until the pieces' hulls
-hold hardly anything else; then joined where the hull of two holds hardly more than the solid.
-
-What was modelled of several closed meshes is cut apart into these first.
-
-Volumes are exact (manifold3d), so walls may be as thin as they like.
+"""Solids as few convex pieces: taken apart into the closed meshes that they were modelled of; cut
+along faces that meet in inner corners, until the pieces' hulls hold hardly anything else; joined
+where the hull of two holds hardly more than the solid. Volumes are exact (manifold3d), so walls may
+be as thin as they like.
 """
 
 import heapq
@@ -24,7 +22,7 @@ from articugen.meshes.simpler import manifold, mesh_of
 _CUT = 0.025  # of the solid's volume: pieces are cut until their hulls hold no more besides it
 _JOINED = 0.01  # and so much more once they are joined
 _MOST = 192  # cuts: curved shells could be cut for ever
-_SOLIDS = 512  # closed meshes, more than which are not told apart
+_SOLIDS = 512  # closed meshes, more than which are not taken apart
 _SAME = 0.97  # IoU of closed meshes with the solid that is extracted from them
 _CORNERS = 64  # of a piece: more than that PhysX does not take on a GPU
 _ROUGH = 0.05  # of the mean thickness, and 1e-3 of the size: finer faces only take time
@@ -58,7 +56,8 @@ class _Pair(NamedTuple):
 def apart(mesh: Mesh, closed: Sequence[Mesh]) -> tuple[Mesh, ...]:
     """Return what a watertight `mesh` is of: the `closed` meshes that it was extracted from, each
     without those larger, if together they fill the same space; else itself."""
-    solids = sorted(map(manifold, closed), key=lambda solid: -solid.volume())
+    shells = (shell for one in closed for shell in manifold(one).decompose())  # may overlap
+    solids = sorted((s for s in shells if s.volume() > 0.0), key=lambda solid: -solid.volume())
     union = Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     if not 0 < len(solids) <= _SOLIDS or _iou(union, manifold(mesh)) < _SAME:
         return (mesh,)

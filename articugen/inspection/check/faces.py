@@ -21,7 +21,7 @@ class Faces:
 
     Attributes:
         triangles: how many, with those that have no area.
-        flat: those that have no area, which count for nothing else.
+        flat: those that have no area, whose edges count all the same.
         two_sided: share of faces that coincide with one of opposite winding.
         repeated: faces that only repeat another, with its winding.
         open_edges: edges of a single face, coincident faces counting once: 0 where it is closed.
@@ -56,21 +56,22 @@ class Soup:
     def __init__(self, mesh: LabelledMesh) -> None:
         corners = fusion.welded(mesh.vertices)[mesh.faces]
         a, b, c = np.sort(corners, axis=1).T
-        solid = (a != b) & (b != c) & (fusion.face_areas(mesh.vertices, mesh.faces) > _NO_AREA)
-        self._all = LabelledMesh(mesh.vertices, mesh.faces[solid], mesh.part_of_face[solid])
+        some = (a != b) & (b != c)
+        solid = some & (fusion.face_areas(mesh.vertices, mesh.faces) > _NO_AREA)
+        kept = self._all = LabelledMesh(mesh.vertices, mesh.faces[solid], mesh.part_of_face[solid])
         self._flat = int((~solid).sum())
-        _, first, which = np.unique(
-            np.stack([a, b, c], 1)[solid], axis=0, return_index=True, return_inverse=True
-        )
-        x, y, z = corners[solid].T
+        key = np.stack([a, b, c], 1)[some]
+        _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        x, y, z = corners[some].T
         odd = np.sign(x - y) * np.sign(y - z) * np.sign(z - x) > 0
         ways = np.stack([np.bincount(which.ravel(), odd == way, len(first)) for way in (0, 1)])
         self._twofold = (ways[0] > 0) & (ways[1] > 0)
         self._repeats = int(np.maximum(ways - 1, 0).sum())
         self._share = float(self._twofold[which].mean()) if len(which) else 0.0
-        self._corners = corners[solid][first]
-        kept = self._all
-        self.single = LabelledMesh(kept.vertices, kept.faces[first], kept.part_of_face[first])
+        self._corners, number = corners[some][first], np.flatnonzero(some)[first]
+        self._has_area = solid[number]
+        number = number[self._has_area]
+        self.single = LabelledMesh(mesh.vertices, mesh.faces[number], mesh.part_of_face[number])
         faces = kept.vertices[kept.faces]
         self._solid = fusion.closed_pieces(kept, np.zeros(len(faces), np.intp), tree_of(faces))
 
@@ -110,7 +111,7 @@ class Soup:
         about the inside of a cavity's wall they do not."""
         mesh = self.single
         mirrored = LabelledMesh(mesh.vertices, mesh.faces[:, ::-1], mesh.part_of_face)
-        piece = np.where(self._twofold, -1, fusion.closed_piece(mirrored))
+        piece = np.where(self._twofold[self._has_area], -1, fusion.closed_piece(mirrored))
         largest = np.argsort(-fusion.face_areas(mesh.vertices, mesh.faces), kind="stable")
         pieces, first = np.unique(piece[largest], return_index=True)
         faces = mesh.faces[largest[first[pieces >= 0]]]
