@@ -1,6 +1,7 @@
 """Objects read from a source, and those of a data set made again from it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ from articugen.fusion import SOLIDS, PosedSolids, closed_piece, face_areas, weld
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
+from articugen.meshes.distances import nearest
 from articugen.meshes.mesh_file import check_format, export
 from articugen.meshes.painting import coloured_like, few
+from articugen.meshes.simpler import united
 from articugen.sources import readers
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
@@ -113,17 +116,28 @@ def write_meshes(
 
 def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -> Iterator[Mesh]:
     """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance. In
-    the `colours` of the faces that it is of, if it is prepared with some."""
+    the `colours` of the faces that it is of, if it is prepared with some.
+
+    Of a part all of whose faces belong to closed pieces it is their union, which is exact; of
+    another the zero level of its field."""
     for part, solid in enumerate(prepared.own):
-        alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
-        try:
-            mesh = extract_mesh(alone, resolution)
-        except RejectedInstance as error:
-            raise RejectedInstance(f"part {part}: {error}") from None
+        whole, its = prepared.mesh, prepared.mesh.part_of_face == part
+        closed = closed_meshes(prepared, part) if solid.closed else ()
+        is_all = sum(len(piece.faces) for piece in closed) == its.sum()
+        mesh = exact = united(closed) if is_all else None
+        if mesh is None:
+            alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
+            try:
+                mesh = extract_mesh(alone, resolution)
+            except RejectedInstance as error:
+                raise RejectedInstance(f"part {part}: {error}") from None
         if colours and (paint := prepared.extras.paint):
-            whole, its = prepared.mesh, prepared.mesh.part_of_face == part
+            faces = whole.vertices[whole.faces[its]]
             some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its]))
-            mesh = coloured_like(mesh, whole.vertices[whole.faces[its]], some)
+            if exact:  # each of its faces is in one of the part's
+                mesh = replace(exact, colours=some[nearest(exact.triangles.mean(axis=1), faces)[1]])
+            else:
+                mesh = coloured_like(mesh, faces, some)
         yield mesh
 
 

@@ -17,7 +17,7 @@ from articugen.core.arrays import Bools, Floats, Indices
 from articugen.core.geometry import cross
 from articugen.core.portable import dot, norm
 from articugen.core.records import Mesh
-from articugen.meshes.simpler import manifold, mesh_of
+from articugen.meshes.simpler import manifold, mesh_of, shells
 
 _CUT = 0.025  # of the solid's volume: pieces are cut until their hulls hold no more besides it
 _JOINED = 0.01  # and so much more once they are joined
@@ -56,8 +56,7 @@ class _Pair(NamedTuple):
 def apart(mesh: Mesh, closed: Sequence[Mesh]) -> tuple[Mesh, ...]:
     """Return what a watertight `mesh` is of: the `closed` meshes that it was extracted from, each
     without those larger, if together they fill the same space; else itself."""
-    shells = (shell for one in closed for shell in manifold(one).decompose())  # may overlap
-    solids = sorted((s for s in shells if s.volume() > 0.0), key=lambda solid: -solid.volume())
+    solids = shells(closed)
     union = Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     if not 0 < len(solids) <= _SOLIDS or _iou(union, manifold(mesh)) < _SAME:
         return (mesh,)

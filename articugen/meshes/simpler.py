@@ -1,5 +1,6 @@
 """Watertight meshes with fewer faces, for flat walls need no triangle a voxel; convex hulls."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import manifold3d
@@ -15,6 +16,20 @@ def manifold(mesh: Mesh) -> manifold3d.Manifold:
     """Return a watertight mesh as manifold3d has it; its status says whether it is one."""
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)
     return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+
+
+def shells(closed: Iterable[Mesh]) -> list[manifold3d.Manifold]:
+    """Return the shells of closed meshes, the largest first: of one mesh, too, they may overlap."""
+    every = (shell for mesh in closed for shell in manifold(mesh).decompose())
+    return sorted((s for s in every if s.volume() > 0.0), key=lambda shell: -shell.volume())
+
+
+def united(closed: Iterable[Mesh]) -> Mesh | None:
+    """Return the mesh of the space that closed meshes fill; None where its faces cross."""
+    from articugen.meshes.crossings import crossings  # noqa: PLC0415 - compiles; hulls need none
+
+    mesh = mesh_of(manifold3d.Manifold.batch_boolean(shells(closed), manifold3d.OpType.Add))
+    return None if len(crossings(mesh.triangles, 1)) else mesh
 
 
 def mesh_of(solid: manifold3d.Manifold) -> Mesh:
