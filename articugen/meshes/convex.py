@@ -88,7 +88,8 @@ def agreement(pieces: Sequence[Mesh], *meshes: Mesh) -> tuple[float, list[float]
     enclose."""
     solid = _union(meshes)
     shells = [shell.volume() for shell in solid.decompose()]
-    return _iou(_union(pieces), solid), sorted(-volume for volume in shells if volume < 0.0)
+    least = 1e-6 * solid.volume()  # what rounding leaves is none
+    return _iou(_union(pieces), solid), sorted(-volume for volume in shells if volume < -least)
 
 
 def _union(meshes: Iterable[Mesh]) -> Manifold:
