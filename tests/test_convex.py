@@ -14,7 +14,7 @@ from shapes import box
 from articugen.core.records import Mesh
 from articugen.meshes import convex
 from articugen.meshes.convex import agreement, apart, convex_pieces
-from articugen.meshes.simpler import hull
+from articugen.meshes.simpler import hull, united
 
 
 def meshed(solid: trimesh.Trimesh) -> Mesh:
@@ -130,6 +130,27 @@ def test_what_several_closed_meshes_are_is_cut_apart_into_them_first() -> None:
     assert (len(pieces), agreement(pieces, whole)[0]) == (5, pytest.approx(1.0))
     crossed = trimesh.util.concatenate(boards)  # as one mesh, which winds around some space twice
     assert len(apart(whole, [meshed(crossed)])) == 5
+
+
+def test_closed_meshes_are_united_but_where_corners_meet_or_colours_would_be_lost() -> None:
+    low, high = meshed(box((0.25, 0.5, 0.5))), meshed(box((0.5, 0.25, 0.25)))
+    both = united([low, high])
+    assert both is not None
+    solid = trimesh.Trimesh(both.vertices, both.faces)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(0.0625 + 0.03125 - 0.015625)
+    beside = meshed(box((0.25, 0.5, 0.5), (0.25 + 1e-9, 0.0, 0.0)))  # touches but for rounding
+    wide = united([low, beside])
+    assert wide is not None
+    assert len(np.unique(wide.vertices[:, 0])) == 3  # and no wall is left between
+    assert trimesh.Trimesh(wide.vertices, wide.faces).body_count == 1
+    at_an_edge = meshed(box((0.25, 0.5, 0.5), (0.25, 0.5, 0.0)))
+    assert united([low, at_an_edge]) is None
+    grey = np.full((12, 3), 90, np.uint8)
+    two = grey.copy()
+    two[0] = 20
+    assert united([Mesh(low.vertices, low.faces, grey), high]) is not None
+    assert united([Mesh(low.vertices, low.faces, two), high]) is None
 
 
 def test_closed_meshes_that_are_not_all_of_a_solid_are_none_of_it() -> None:

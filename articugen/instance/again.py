@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.arrays import Bytes
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource, RejectedInstance
 from articugen.core.files import check_place
 from articugen.core.geometry import apply
@@ -120,9 +121,11 @@ def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -
 
     Of a part all of whose faces belong to closed pieces it is their union, which is exact; of
     another the zero level of its field."""
+    whole, paint = prepared.mesh, prepared.extras.paint if colours else None
     for part, solid in enumerate(prepared.own):
-        whole, its = prepared.mesh, prepared.mesh.part_of_face == part
-        closed = closed_meshes(prepared, part) if solid.closed else ()
+        its = whole.part_of_face == part
+        some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its])) if paint else None
+        closed = closed_meshes(prepared, part, some) if solid.closed else ()
         is_all = sum(len(piece.faces) for piece in closed) == its.sum()
         mesh = exact = united(closed) if is_all else None
         if mesh is None:
@@ -131,9 +134,8 @@ def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -
                 mesh = extract_mesh(alone, resolution)
             except RejectedInstance as error:
                 raise RejectedInstance(f"part {part}: {error}") from None
-        if colours and (paint := prepared.extras.paint):
+        if some is not None:
             faces = whole.vertices[whole.faces[its]]
-            some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its]))
             if exact:  # each of its faces is in one of the part's
                 mesh = replace(exact, colours=some[nearest(exact.triangles.mean(axis=1), faces)[1]])
             else:
@@ -141,8 +143,9 @@ def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -
         yield mesh
 
 
-def closed_meshes(prepared: Prepared, part: int) -> tuple[Mesh, ...]:
-    """Return the closed pieces of which a part is modelled, canonical pose, unit frame."""
+def closed_meshes(prepared: Prepared, part: int, colours: Bytes | None = None) -> tuple[Mesh, ...]:
+    """Return the closed pieces of which a part is modelled, canonical pose, unit frame, in the
+    `colours` of the part's faces."""
     whole = prepared.mesh
     its = whole.part_of_face == part
     alone = LabelledMesh(whole.vertices, whole.faces[its], whole.part_of_face[its])
@@ -151,5 +154,6 @@ def closed_meshes(prepared: Prepared, part: int) -> tuple[Mesh, ...]:
     meshes = []
     for piece in np.unique(number[number >= 0]):
         used, faces = np.unique(place[alone.faces[number == piece]], return_inverse=True)
-        meshes.append(Mesh(corner[used], faces.reshape(-1, 3).astype(np.int32)))
+        some = None if colours is None else colours[number == piece]
+        meshes.append(Mesh(corner[used], faces.reshape(-1, 3).astype(np.int32), some))
     return tuple(meshes)

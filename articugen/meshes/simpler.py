@@ -1,6 +1,6 @@
 """Watertight meshes with fewer faces, for flat walls need no triangle a voxel; convex hulls."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import manifold3d
@@ -10,6 +10,8 @@ from articugen.core.arrays import Floats
 from articugen.core.colours import rgb
 from articugen.core.records import Mesh
 from articugen.meshes.painting import looks
+
+_EVEN = 2.0**22  # places along an edge of the unit frame: what touches but for rounding touches
 
 
 def manifold(mesh: Mesh) -> manifold3d.Manifold:
@@ -24,12 +26,19 @@ def shells(closed: Iterable[Mesh]) -> list[manifold3d.Manifold]:
     return sorted((s for s in every if s.volume() > 0.0), key=lambda shell: -shell.volume())
 
 
-def united(closed: Iterable[Mesh]) -> Mesh | None:
-    """Return the mesh of the space that closed meshes fill; None where its faces cross."""
+def united(closed: Sequence[Mesh]) -> Mesh | None:
+    """Return the mesh of the space that closed meshes fill, unit frame; None where faces of it
+    cross or corners coincide, or where one of the meshes has several colours, which faces in one
+    plane may lose."""
     from articugen.meshes.crossings import crossings  # noqa: PLC0415 - compiles; hulls need none
 
-    mesh = mesh_of(manifold3d.Manifold.batch_boolean(shells(closed), manifold3d.OpType.Add))
-    return None if len(crossings(mesh.triangles, 1)) else mesh
+    if any(mesh.colours is not None and np.ptp(mesh.colours, axis=0).any() for mesh in closed):
+        return None
+    even = [replace(mesh, vertices=np.round(mesh.vertices * _EVEN) / _EVEN) for mesh in closed]
+    union = manifold3d.Manifold.batch_boolean(shells(even), manifold3d.OpType.Add)
+    mesh = mesh_of(union.simplify(1.0 / _EVEN))
+    apart = len(np.unique(np.round(mesh.vertices * _EVEN), axis=0)) == len(mesh.vertices)
+    return mesh if apart and not len(crossings(mesh.triangles, 1)) else None
 
 
 def mesh_of(solid: manifold3d.Manifold) -> Mesh:
