@@ -56,9 +56,9 @@ class _Pair(NamedTuple):
 def apart(mesh: Mesh, closed: Sequence[Mesh]) -> tuple[Mesh, ...]:
     """Return what a watertight `mesh` is of: the `closed` meshes that it was extracted from, each
     without those larger, if together they fill the same space; else itself."""
-    solids = shells(closed)
+    solids = shells(closed) if len(closed) <= _SOLIDS else []
     union = Manifold.batch_boolean(solids, manifold3d.OpType.Add)
-    if not 0 < len(solids) <= _SOLIDS or _iou(union, manifold(mesh)) < _SAME:
+    if _iou(union, manifold(mesh)) < _SAME:
         return (mesh,)
     rest, before = [], Manifold()
     for solid in solids:
@@ -87,9 +87,9 @@ def agreement(pieces: Sequence[Mesh], *meshes: Mesh) -> tuple[float, list[float]
     """Return the IoU of convex pieces with watertight meshes, and the volumes of what these
     enclose."""
     solid = _union(meshes)
-    shells = [shell.volume() for shell in solid.decompose()]
     least = 1e-6 * solid.volume()  # what rounding leaves is none
-    return _iou(_union(pieces), solid), sorted(-volume for volume in shells if volume < -least)
+    cavities = (-shell.volume() for shell in solid.decompose())
+    return _iou(_union(pieces), solid), sorted(volume for volume in cavities if volume > least)
 
 
 def _union(meshes: Iterable[Mesh]) -> Manifold:
