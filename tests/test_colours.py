@@ -93,9 +93,9 @@ def test_a_face_has_its_texture_s_mean_times_kd(tmp_path):
             colours, notes = textured(tmp_path, png(texture), line)
             assert colours == [[50, 50, 100], [100, 25, 50], [255, 128, 255]]
             assert notes == ()
-    clear = Image.new("RGBA", (300, 600))
+    clear = Image.new("RGBA", (600, 1200))
     assert textured(tmp_path, png(clear))[0] == [[255, 128, 255]] * 3
-    assert looks.decoded(png(clear)).shape == (200, 100, 3)
+    assert looks.decoded(png(clear)).shape == (400, 200, 3)
 
 
 def bomb() -> bytes:

@@ -1,5 +1,6 @@
 """Colours of exports, face by face, by each format's own reader, beside those of the model."""
 
+import io
 import json
 import re
 import struct
@@ -72,8 +73,20 @@ def chunks(path):
     return json.loads(data[20 : 20 + size]), data[28 + size :]
 
 
-def in_gltf(path):
-    """Of each part the corners (F, 3, 3) of its faces, before it is turned y up, and (F, 3)."""
+def shown(picture, places, weights=(1 / 3, 1 / 3, 1 / 3)):
+    """The colours (n, 3) of a picture (h, w, 3) between places (n, 3, 2) of corners, v up."""
+    height, width, _ = picture.shape
+    u, v = np.moveaxis(np.einsum("k,nkj->nj", weights, places), 1, 0)
+    return picture[((1.0 - v) * height).astype(int) % height, (u * width).astype(int) % width]
+
+
+def of_file(data):
+    return np.array(Image.open(data).convert("RGB")).astype(int)
+
+
+def in_gltf(path, weights=(1 / 3, 1 / 3, 1 / 3)):
+    """Of each part the corners (F, 3, 3) of its faces, before it is turned y up, and (F, 3), the
+    colours there between them."""
     scene, blob = chunks(path)
 
     def array(number, dtype):
@@ -86,14 +99,24 @@ def in_gltf(path):
         triangles, colours = [], []
         for primitive in mesh["primitives"]:
             vertices = array(primitive["attributes"]["POSITION"], np.float32)
-            triangles.append(vertices[array(primitive["indices"], np.uint32).reshape(-1, 3)])
             how = scene["materials"][primitive["material"]]["pbrMetallicRoughness"]
-            assert (how["metallicFactor"], how["baseColorFactor"][3]) == (0.0, 1.0)
+            assert how["metallicFactor"] == 0.0
+            if "baseColorTexture" in how:
+                triangles.append(vertices.reshape(-1, 3, 3))
+                texture = scene["textures"][how["baseColorTexture"]["index"]]
+                view = scene["bufferViews"][scene["images"][texture["source"]]["bufferView"]]
+                picture = blob[view["byteOffset"] :][: view["byteLength"]]
+                places = array(primitive["attributes"]["TEXCOORD_0"], np.float32).reshape(-1, 3, 2)
+                places = places * [1, -1] + [0, 1]  # v is down
+                colours.append(shown(of_file(io.BytesIO(picture)), places, weights))
+                continue
+            triangles.append(vertices[array(primitive["indices"], np.uint32).reshape(-1, 3)])
+            assert how["baseColorFactor"][3] == 1.0
             colours.append(np.tile(displayed(how["baseColorFactor"][:3]), (len(triangles[-1]), 1)))
         yield np.concatenate(triangles), np.concatenate(colours)
 
 
-def in_usd(path):
+def in_usd(path, weights=(1 / 3, 1 / 3, 1 / 3)):
     from pxr import Usd, UsdGeom, UsdShade  # noqa: PLC0415
 
     stage = Usd.Stage.Open(str(path))
@@ -104,15 +127,28 @@ def in_usd(path):
         some = [(np.arange(len(faces)), prim)] if not subsets else []
         some += [(np.array(s.GetIndicesAttr().Get()), s.GetPrim()) for s in subsets]
         assert sorted(np.concatenate([which for which, _ in some])) == list(range(len(faces)))
+        laid = {}
         for which, of in some:
             material, _ = UsdShade.MaterialBindingAPI(of).ComputeBoundMaterial()
-            bound[which] = material.ComputeSurfaceSource()[0].GetInput("diffuseColor").Get()
-        shown = np.array(mesh.GetDisplayColorPrimvar().ComputeFlattened())
-        np.testing.assert_array_equal(np.broadcast_to(shown, bound.shape), bound)
-        yield np.array(mesh.GetPointsAttr().Get())[faces], displayed(bound)
+            diffuse = material.ComputeSurfaceSource()[0].GetInput("diffuseColor")
+            bound[which] = diffuse.Get()
+            if diffuse.HasConnectedSource():
+                texture = UsdShade.Shader(diffuse.GetConnectedSource()[0].GetPrim())
+                assert texture.GetInput("sourceColorSpace").Get() == "sRGB"
+                reader = UsdShade.Shader(texture.GetInput("st").GetConnectedSource()[0].GetPrim())
+                places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar(reader.GetInput("varname").Get())
+                places = np.reshape(places.ComputeFlattened(), (-1, 3, 2))[which]
+                picture = of_file(texture.GetInput("file").Get().resolvedPath)
+                laid[tuple(which)] = shown(picture, places, weights)
+        drawn = np.array(mesh.GetDisplayColorPrimvar().ComputeFlattened())
+        np.testing.assert_array_equal(np.broadcast_to(drawn, bound.shape), bound)
+        colours = displayed(bound)
+        for which, some in laid.items():
+            colours[list(which)] = some
+        yield np.array(mesh.GetPointsAttr().Get())[faces], colours
 
 
-def in_mujoco(path):
+def in_mujoco(path, weights=(1 / 3, 1 / 3, 1 / 3)):
     mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -125,26 +161,40 @@ def in_mujoco(path):
         vertices = model.mesh_vert[start : start + count] @ turn.T + data.geom_xpos[geom]
         start, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
         triangles = vertices[model.mesh_face[start : start + count]]
-        colours = np.tile(whole(255.0 * model.geom_rgba[geom, :3]), (count, 1))
+        if (material := model.geom_matid[geom]) < 0:
+            colours = np.tile(whole(255.0 * model.geom_rgba[geom, :3]), (count, 1))
+        else:
+            assert (model.mat_rgba[material] == 1.0).all()
+            number = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]
+            width, height = model.tex_width[number], model.tex_height[number]
+            pixels = model.tex_data[model.tex_adr[number] :][: 3 * width * height]
+            places = model.mesh_texcoord[model.mesh_texcoordadr[mesh] :]
+            places = places[model.mesh_facetexcoord[start : start + count]]
+            picture = pixels.reshape(height, width, 3).astype(int)
+            colours = shown(picture, places * [1, -1] + [0, 1], weights)  # v is down there
         parts.setdefault(model.geom_bodyid[geom], []).append((triangles, colours))
     for pieces in parts.values():
         yield tuple(np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
 
 
-def in_urdf(path):
+def in_urdf(path, weights=(1 / 3, 1 / 3, 1 / 3)):
     robot = yourdfpy.URDF.load(str(path))
     for link in robot.robot.links:
         (visual,) = link.visuals
         scene = trimesh.load_scene(path.parent / visual.geometry.mesh.filename)
         pieces = scene.dump()
         if not visual.material:
-            colours = [piece.visual.material.diffuse[:3] for piece in pieces]
+            colours = [
+                np.tile(how.diffuse[:3], (len(piece.faces), 1)) if how.image is None
+                else shown(np.array(how.image.convert("RGB")).astype(int), uv[piece.faces], weights)
+                for piece in pieces
+                for how, uv in [(piece.visual.material, piece.visual.uv)]
+            ]  # fmt: skip
         else:  # of the URDF, where the mesh has none
             assert not (path.parent / visual.geometry.mesh.filename).with_suffix(".mtl").exists()
-            colours = [whole(255.0 * visual.material.color.rgba[:3])]
-        sizes = [len(piece.faces) for piece in pieces]
-        triangles = np.concatenate([piece.triangles for piece in pieces])
-        yield triangles, np.repeat(colours, sizes, axis=0)
+            colour = whole(255.0 * visual.material.color.rgba[:3])
+            colours = [np.tile(colour, (len(piece.faces), 1)) for piece in pieces]
+        yield np.concatenate([piece.triangles for piece in pieces]), np.concatenate(colours)
 
 
 READ = dict(zip(FORMATS, (in_gltf, in_usd, in_mujoco, in_urdf), strict=True))
@@ -218,23 +268,74 @@ def test_bundled_objects_have_plain_colours(tmp_path):
     assert colours == [[list(plain_colour("oven", name))] for name in ("body", "door")]
 
 
-def test_a_texture_s_thousand_colours_become_few(tmp_path):
-    """A box with a lid of 30 x 30 fields, each another colour; a material's name may do harm."""
-    pixels = np.random.default_rng(0).integers(0, 256, (30, 30, 3)).astype(np.uint8)
+BOARD = np.random.default_rng(0).integers(0, 256, (30, 30, 3)).astype(np.uint8)
+WEIGHTS = np.random.default_rng(1).dirichlet([1, 1, 1], 40)
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """A box with a lid of 30 x 30 fields, each another colour, in shades by a third of the light; a
+    material's name may do harm."""
     n = np.arange(31)
     lines = [BOX.replace("box.mtl", "t.mtl").replace("f 2 6 8 4\n", "usemtl ../<&\"'> $(x)")]
     lines += [f"v {x / 30} {y / 30} 1\nvt {x / 30} {y / 30}" for y in n for x in n]
     for at in (31 * y + x + 1 for y in range(30) for x in range(30)):
         lines.append("f " + " ".join(f"{k + 8}/{k}" for k in (at, at + 1, at + 32, at + 31)))
-    mtl = MTL + "newmtl ../<&\"'> $(x)\nmap_Kd t.png\n"
+    mtl = MTL + "newmtl ../<&\"'> $(x)\nKd 0.6 1 1\nmap_Kd t.png\n"
     files = {"slide.urdf": URDF, "box.obj": "\n".join(lines), "t.mtl": mtl}
-    data = data_set(tmp_path / "m", {**files, "t.png": png(Image.fromarray(pixels))})
-    for to in FORMATS:
-        board, bolt = READ[to](exported(data, to, tmp_path))
-        assert 8 <= len(np.unique(board[1], axis=0)) <= MOST_COLOURS
+    folder = tmp_path_factory.mktemp("board") / "m"
+    return data_set(folder, {**files, "t.png": png(Image.fromarray(BOARD))})
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_pictures_lie_where_the_model_s_lie(board, tmp_path, to):
+    path, asked = exported(board, to, tmp_path), 0
+    for weights in WEIGHTS:
+        (triangles, colours), bolt = READ[to](path, weights)
         assert (bolt[1] == BLUE).all()
-    names = re.findall(r"(?:newmtl|usemtl) (.*)", next(tmp_path.rglob("part_0.mtl")).read_text())
+        lid = (np.abs(triangles[:, :, 2] - triangles[..., 2].max()) < 1e-3).all(axis=1)
+        at = np.einsum("k,nkj->nj", weights, triangles[lid])[:, :2]
+        at = at - triangles[..., :2].min(axis=(0, 1))
+        x, y = np.moveaxis(30.0 * at, 1, 0)
+        inside = (np.abs(at * 30 - np.round(at * 30)) > 0.1).all(axis=1)  # of a field, and the lid
+        inside &= (at > 0.02).all(axis=1) & (at < 0.98).all(axis=1)
+        fields = BOARD[29 - y[inside].astype(int), x[inside].astype(int)] * [0.6, 1.0, 1.0]
+        np.testing.assert_allclose(colours[lid][inside], fields, atol=0.51)
+        asked += int(inside.sum())
+    assert asked > 20
+
+
+def test_names_of_materials_are_ours(board, tmp_path):
+    exported(board, "urdf", tmp_path)
+    text = "".join(next(tmp_path.rglob(f"part_0.{end}")).read_text() for end in ("obj", "mtl"))
+    names = re.findall("(?:newmtl|usemtl) (.*)", text)
+    assert len(names) == 6
     assert all(re.fullmatch("[0-9a-f]{6}", name) for name in names)
+
+
+def test_what_a_camera_sees_has_the_colours_of_the_surface_there(slide, tmp_path):
+    recipe = {
+        **RECIPE,
+        "sampling": {**RECIPE["sampling"], "surface_points": 4096, "surface_color": True},
+    }  # fmt: skip
+    source = str(slide.parent.parent / "slide.urdf")
+    ag.generate("slide", source=source, out=tmp_path, recipe=recipe, jobs=0)
+    ag.export(tmp_path / "slide", "opalign", tmp_path / "opalign")
+    row = ag.open(tmp_path / "slide")[0]
+    for path in tmp_path.glob("opalign/slide/*/*/0000/input_2/*.npz"):
+        view = np.load(path, allow_pickle=True)["arr_0"].item()
+        colours = np.round(255.0 * view["color"]).astype(int)
+        assert (colours[view["segmentation"] == 2] == BLUE).all()
+        on = view["segmentation"] == 1
+        points = row.partial.points[int(path.stem)][on]
+        wall = row.surface.points[row.surface.part == 0]
+        low, high = (points - wall.min(axis=0)).T, (wall.max(axis=0) - points).T
+        to_side = np.abs(np.stack([low[0], low[1], high[1]]))
+        to_others = np.abs(np.stack([high[0], low[2], high[2]]))
+        red = to_side.min(axis=0) < to_others.min(axis=0)
+        clear = np.abs(to_side.min(axis=0) - to_others.min(axis=0)) > 0.15 * np.ptp(wall[:, 0])
+        np.testing.assert_array_equal(colours[on][clear], np.where(red[:, None], RED, GREEN)[clear])
+        assert clear.sum() > 50
 
 
 def test_few_colours_stay_and_many_become_means():

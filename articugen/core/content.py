@@ -37,8 +37,8 @@ MODELS = {
 FORMS = {"varied": 3, "rough": 2}  # the same for all models drawn, or written, in such a form
 
 KEYS = {
-    "partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1, "surface_color": 3,
-    "colours": 3, "one_at_a_time": 1,
+    "partial_cameras": 2, "kinect_metres": 2, "signed_distance": 1, "surface_color": 4,
+    "colours": 4, "one_at_a_time": 1,
 }  # fmt: skip
 """The same for recipes that have such a key."""
 

@@ -136,9 +136,9 @@ def points_in_triangles(
     return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
 
 
-def nearest_weights(corners: Floats, points: Floats) -> Floats:
+def plane_weights(corners: Floats, points: Floats) -> Floats:
     """Return (n, 3) the barycentric coordinates of points (n, 3) in the planes of triangles (n, 3,
-    3), moved into these from beside them; thirds in triangles without area."""
+    3); thirds in triangles without area."""
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = cross(b - a, c - a)
     square = dot(normal, normal)
@@ -146,8 +146,15 @@ def nearest_weights(corners: Floats, points: Floats) -> Floats:
     square = np.where(flat, 1.0, square)
     beta = dot(cross(points - a, c - a), normal) / square
     gamma = dot(cross(b - a, points - a), normal) / square
-    weights = np.maximum(np.stack([1.0 - beta - gamma, beta, gamma], axis=1), _INWARDS)
-    weights[flat] = 1.0
+    weights = np.stack([1.0 - beta - gamma, beta, gamma], axis=1)
+    weights[flat] = 1.0 / 3.0
+    return weights
+
+
+def nearest_weights(corners: Floats, points: Floats) -> Floats:
+    """Return (n, 3) what `plane_weights` does, of points moved into the triangles from beside
+    them."""
+    weights = np.maximum(plane_weights(corners, points), _INWARDS)
     return weights / dot(weights, np.ones(3))[:, None]
 
 

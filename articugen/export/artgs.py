@@ -9,13 +9,12 @@ and <end>/camera_*.json, both the truth in gt/trans.json.
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from articugen.core.geometry import invert_rigid
 from articugen.export.formats import Format
 from articugen.export.items import Item, LeftOut, canonical, file_name, of_objects
 from articugen.export.target import Files
-from articugen.pictures.layout import png
+from articugen.pictures.layout import png_of
 from articugen.store.rows import Row
 
 _TEST = 8
@@ -62,12 +61,12 @@ def _write(item: Item, target: Files) -> None:
 def _write_images(row: Row, folder: str, cameras: list[int], depth: bool, target: Files) -> None:
     """Number the images of these cameras from 0 on; ArtGS's, which have depths, in `rgba`, too."""
     for number, k in enumerate(cameras):
-        rgba = png(Image.fromarray(row.images.rgba[k]))
+        rgba = png_of(row.images.rgba[k])
         target.write(f"{folder}/{number:04d}.png", rgba)
         if depth:
             thousandths = np.round(_MILLI * row.images.depth[k]).astype(np.uint16)
             target.write(f"{folder}/rgba/{number:04d}.png", rgba)
-            target.write(f"{folder}/depth/{number:04d}.png", png(Image.fromarray(thousandths)))
+            target.write(f"{folder}/depth/{number:04d}.png", png_of(thousandths))
 
 
 def _frames(row: Row, folder: str, time: float, cameras: list[int]) -> list[dict[str, Any]]:

@@ -4,16 +4,23 @@ All frames are turned as the model's own; a part's stands at its joint's pivot, 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, canonical
-from articugen.export.parts import MetricJoint, metric_joints, part_names, part_solids
+from articugen.export.parts import (
+    MetricJoint,
+    metric_joints,
+    part_names,
+    part_solids,
+    picture_of,
+)
 from articugen.export.target import Files
 from articugen.meshes.convex import agreement, apart, convex_pieces
 from articugen.meshes.model_text import obj_text
@@ -139,38 +146,74 @@ def from_the_root(parts: Sequence[Body], root: int = 0) -> list[int]:
 def write_meshes(
     item: Item, target: Files, part: int, body: Body, *, apart: bool = False
 ) -> tuple[dict[str, Look | None], list[str]]:
-    """Write a part's meshes as OBJ files in the folder `meshes`; `apart` is a file a colour, where
-    there are several, which are else materials in a file beside it.
+    """Write a part's meshes as OBJ files in the folder `meshes`; `apart` is a file a colour or
+    picture, which is called as it is. They are else materials in a file beside it.
 
-    Return their names, without the ending: what is seen, with the one colour that it has, if any;
-    and the convex ones.
+    Return their names, without the ending: what is seen, with the one look that it has, if any
+    that is not in its file; and the convex ones.
     """
     mesh, name = body.mesh, f"part_{part}"
     some = [] if mesh.colours is None else looks(mesh)
-    visuals: dict[str, Look | None] = {name: some[0] if len(some) == 1 else None}
-    files = {f"{name}.obj": obj_text([(mesh.vertices, mesh.faces)])}
-    if len(some) > 1 and apart:
-        shown = [look for look in some if look.area > _SPECK]
-        visuals = {f"{name}_colour_{k}": look for k, look in enumerate(shown)}
-        files = {}
-        for file, look in zip(visuals, shown, strict=True):
-            used, corners = np.unique(mesh.faces[look.faces], return_inverse=True)
-            used = np.append(used, used[-1:]) if len(used) < 4 else used  # MuJoCo's fewest
-            files[f"{file}.obj"] = obj_text([(mesh.vertices[used], corners.reshape(-1, 3))])
-    elif len(some) > 1:
-        texts = [f"mtllib {name}.mtl\n", obj_text([(mesh.vertices, mesh.faces[:0])])]
-        for look in some:
-            faces = obj_text([(mesh.vertices[:0], mesh.faces[look.faces])])
-            texts += [f"usemtl {look.colour[1:]}\n", faces]
-        files = {f"{name}.obj": "".join(texts)}
-        kinds = [f"newmtl {look.colour[1:]}\nKd {numbers(look.rgba[:3])}\n" for look in some]
-        files[f"{name}.mtl"] = "".join(kinds)
+    visuals, files = (_apart if apart else _together)(name, mesh, some)
     collisions = [f"{name}_convex_{k}" for k in range(len(body.hulls))]
     for file, hull in zip(collisions, body.hulls, strict=True):
-        files[f"{file}.obj"] = obj_text([(hull.vertices, hull.faces)])
-    for file, text in files.items():
-        target.write(f"{item.key}/meshes/{file}", text.encode())
+        files[f"{file}.obj"] = obj_text([(hull.vertices, hull.faces)]).encode()
+    for file, content in files.items():
+        target.write(f"{item.key}/meshes/{file}", content)
     return visuals, collisions
+
+
+_Seen = tuple[dict[str, Look | None], dict[str, bytes]]
+
+
+def _apart(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
+    """Return what is seen of a mesh, a name a look, and the files of it."""
+    if not some:
+        return {name: None}, {f"{name}.obj": _obj(mesh.vertices, {"": (mesh.faces, None)})}
+    shown = [look for look in some if look.area > _SPECK]
+    names = [f"{name}_colour_{k}" for k in range(len(shown))] if len(some) > 1 else [name]
+    files: dict[str, bytes] = {}
+    for file, look in zip(names, shown, strict=True):
+        used, corners = np.unique(mesh.faces[look.faces], return_inverse=True)
+        used = np.append(used, used[-1:]) if len(used) < 4 else used  # MuJoCo's fewest
+        alone = corners.reshape(-1, 3), look.places
+        files[f"{file}.obj"] = _obj(mesh.vertices[used], {"": alone})
+        if picture := picture_of(look):
+            files[f"{file}.png"] = picture
+    return dict(zip(names, shown, strict=True)), files
+
+
+def _together(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
+    """Return the one name of what is seen of a mesh, and its files."""
+    pictures = {look.colour[1:]: picture_of(look) for look in some}
+    if len(some) < 2 and not any(pictures.values()):
+        plain = {f"{name}.obj": _obj(mesh.vertices, {"": (mesh.faces, None)})}
+        return {name: some[0] if some else None}, plain
+    faces = {look.colour[1:]: (mesh.faces[look.faces], look.places) for look in some}
+    kinds, files = [], {f"{name}.obj": f"mtllib {name}.mtl\n".encode() + _obj(mesh.vertices, faces)}
+    for look, (kind, picture) in zip(some, pictures.items(), strict=True):
+        file = f"{name}_{kind}.png"
+        how = f"Kd 1 1 1\nmap_Kd {file}\n" if picture else f"Kd {numbers(look.rgba[:3])}\n"
+        kinds.append(f"newmtl {kind}\n{how}")
+        files |= {file: picture} if picture else {}
+    return {name: None}, {**files, f"{name}.mtl": "".join(kinds).encode()}
+
+
+def _obj(vertices: Floats, runs: Mapping[str, tuple[NDArray[np.integer], Floats | None]]) -> bytes:
+    """Return an OBJ file of triangles (m, 3) by their material, "" for none, with the places (m, 3,
+    2) of their corners in its picture if it has one."""
+    texts, first = [obj_text([(vertices, np.zeros((0, 3), np.intp))])], 1
+    for material, (faces, places) in runs.items():
+        texts += [f"usemtl {material}\n"] if material else []
+        if places is None:
+            texts.append(obj_text([(vertices[:0], faces)]))
+            continue
+        known, which = np.unique(places.reshape(-1, 2).round(6), axis=0, return_inverse=True)
+        texts += [f"vt {u:.6f} {v:.6f}\n" for u, v in known.tolist()]
+        corners = np.stack([faces.ravel() + 1, which.ravel() + first], axis=1).reshape(-1, 6)
+        texts += ["f {}/{} {}/{} {}/{}\n".format(*corner) for corner in corners.tolist()]
+        first += len(known)
+    return "".join(texts).encode()
 
 
 def numbers(values: Sequence[float] | Floats) -> str:

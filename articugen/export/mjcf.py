@@ -67,8 +67,14 @@ def _write(item: Item, target: Files) -> None:
         for mesh, look in visuals.items():
             how = {"inertia": "exact" if whole else "shell"}
             ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj", **how})
-            colour = {"rgba": numbers(look.rgba)} if look else {}
-            ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": mesh, **colour})
+            if look and look.picture is not None:
+                file = f"meshes/{mesh}.png"
+                ET.SubElement(assets, "texture", name=mesh, type="2d", file=file)
+                ET.SubElement(assets, "material", name=mesh, texture=mesh)
+                shown = {"material": mesh}
+            else:
+                shown = {"rgba": numbers(look.rgba)} if look else {}
+            ET.SubElement(placed[part], "geom", {**_SEEN, "mesh": mesh, **shown})
         for mesh in collisions:
             ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj"})
             ET.SubElement(placed[part], "geom", {**_FELT, "mesh": mesh})

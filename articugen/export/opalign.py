@@ -1,7 +1,8 @@
 """OP-Align: single depth views with part poses and joints, one .npz a view.
 
-<category>/<split>/<object>/<state>/input_2/<camera>.npz. Shards hold no colours: all points are
-grey. Their loader unpickles the one dict that an .npz holds; nothing but arrays is in it.
+<category>/<split>/<object>/<state>/input_2/<camera>.npz. Points have the colours of the nearest
+surface points, grey where none are stored. Their loader unpickles the one dict that an .npz holds;
+nothing but arrays is in it.
 """
 
 import numpy as np
@@ -14,6 +15,7 @@ from articugen.export.items import Item, file_name, of_objects
 from articugen.export.labels import need, seen
 from articugen.export.parts import part_boxes
 from articugen.export.target import Files
+from articugen.meshes.distances import nearest
 from articugen.store.rows import Row
 
 _GREY = 0.5
@@ -34,7 +36,7 @@ def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:
     points, part = seen(row, camera)
     return {
         "pc": points,
-        "color": np.full(points.shape, _GREY, np.float32),
+        "color": _colours(row, camera),
         "detection": np.ones(len(points), np.bool_),
         "segmentation": part.astype(np.int64) + 1,
         "part": np.stack([
@@ -50,6 +52,16 @@ def _view(row: Row, camera: int, boxes: Floats) -> dict[str, NDArray]:
             for j in row.joints
         ]),
     }  # fmt: skip
+
+
+def _colours(row: Row, camera: int) -> NDArray[np.float32]:
+    """Return (M, 3) sRGB, from 0 to 1, of the points that a camera sees."""
+    points = row.partial.points[camera]
+    if "surface_color" not in row.fields:
+        return np.full(points.shape, _GREY, np.float32)
+    triangles = np.repeat(row.surface.points[:, None].astype(np.float64), 3, axis=1)  # each a point
+    near = nearest(points.astype(np.float64), triangles)[1]
+    return (row.surface.color[near] / 255.0).astype(np.float32)
 
 
 FORMAT = Format("OP-Align: single depth views with part poses and joints", of_objects, _write)

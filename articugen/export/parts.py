@@ -17,7 +17,8 @@ from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.records import Mesh
 from articugen.export.items import LeftOut, Options, canonical
 from articugen.meshes.marching_cubes import zero_level
-from articugen.meshes.simpler import simpler
+from articugen.meshes.painting import Look
+from articugen.pictures.layout import png_of
 from articugen.store.dataset import DataSet
 from articugen.store.rows import Row
 
@@ -32,8 +33,8 @@ class PartSolid(NamedTuple):
 
 
 def part_solids(rows: DataSet, options: Options, *, colours: bool = False) -> tuple[PartSolid, ...]:
-    """Make the solid of each part of the rows' object, part 0 first; with the `colours` of the
-    model, where it states some and is read.
+    """Make the solid of each part of the rows' object, part 0 first; with the `colours` and
+    pictures of the model, where it states some and is read.
 
     Raises:
         LeftOut: a part has no voxel; or the canonical pose is not there.
@@ -53,13 +54,17 @@ def part_solids(rows: DataSet, options: Options, *, colours: bool = False) -> tu
             f"{error}; or take the parts from the stored grids, with --from-grids"
         ) from error
     try:
-        meshes = again.part_meshes(prepared, options.resolution, colours=colours)
+        meshes = again.part_meshes(prepared, options.resolution, within=_WITHIN, colours=colours)
         return tuple(
-            PartSolid(simpler(mesh, _WITHIN), again.closed_meshes(prepared, part))
-            for part, mesh in enumerate(meshes)
+            PartSolid(mesh, again.closed_meshes(prepared, part)) for part, mesh in enumerate(meshes)
         )
     except RejectedInstance as error:
         raise LeftOut(f"{object_id}: {error}") from error
+
+
+def picture_of(look: Look) -> bytes:
+    """Return the picture of faces as a PNG, b"" where they are in one colour."""
+    return b"" if look.picture is None else png_of(look.picture)
 
 
 def _from_grid(row: Row) -> tuple[Mesh, ...]:

@@ -16,7 +16,7 @@ from articugen.core.records import Mesh
 from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
-from articugen.export.parts import unique
+from articugen.export.parts import picture_of, unique
 from articugen.export.target import Files
 from articugen.meshes.painting import Look, looks
 from articugen.pictures.layout import png
@@ -29,6 +29,9 @@ _QCODES = {
     "washing_machine": "Q124441", "": "Q223557",
 }  # fmt: skip
 """Of categories, in Wikidata: drawers are furniture, and "" is any physical object."""
+
+
+_PLACES = "st"  # of corners in pictures: the name by which viewers look for them
 
 
 def _pxr(*names: str) -> list[Any]:
@@ -45,6 +48,10 @@ def _write(item: Item, target: Files) -> None:
         _fill(path, name, item, parts)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
     drawn = [(body, look) for k, body in enumerate(parts) for look in looks(body.unit_mesh, k)]
+    for part, body in enumerate(parts):
+        for k, look in enumerate(looks(body.unit_mesh, part)):
+            if place := _picture_name(part, k, look):
+                target.write(f"{item.key}/usd/{place}", picture_of(look))
     faces = [body.unit_mesh.triangles[look.faces] for body, look in drawn]
     group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
     colours = [look.colour for _, look in drawn]
@@ -131,7 +138,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    _add_visual(prim, body.mesh, looks(body.mesh, part))
+    _add_visual(prim, body.mesh, part, looks(body.mesh, part))
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -140,38 +147,55 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
         shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
 
 
-def _add_visual(prim: Any, shape: Mesh, some: Sequence[Look]) -> None:
+def _picture_name(part: int, number: int, look: Look) -> str:
+    """Name the picture of one of a part's looks beside the .usdc; "" for one in a colour."""
+    return "" if look.picture is None else f"textures/part_{part}_{number}.png"
+
+
+def _add_visual(prim: Any, shape: Mesh, part: int, some: Sequence[Look]) -> None:
     """Add what is seen of a part. Its first colour is that of its own material, for what touches
     it; of several each has the material of a subset of the faces."""
-    Gf, UsdGeom, UsdShade, Vt = _pxr("Gf", "UsdGeom", "UsdShade", "Vt")
+    Gf, Sdf, UsdGeom, UsdShade, Vt = _pxr("Gf", "Sdf", "UsdGeom", "UsdShade", "Vt")
 
     colours = [Gf.Vec3f(*look.light.tolist()) for look in some]
-    _bind_material(prim, prim.GetName(), colours[0])
+    names = [_picture_name(part, k, look) for k, look in enumerate(some)]
+    _bind_material(prim, prim.GetName(), colours[0], names[0])
     mesh = _add_mesh(prim.GetStage(), f"{prim.GetPath()}/visual", shape)
+    if any(names):
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        laid = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(_PLACES, kind, UsdGeom.Tokens.faceVarying)
+        places = np.zeros((len(shape.faces), 3, 2), np.float32)
+        for look in some:
+            places[look.faces] = 0.0 if look.places is None else look.places
+        laid.Set(Vt.Vec2fArray.FromNumpy(places.reshape(-1, 2)))
     if len(some) == 1:
         mesh.CreateDisplayColorAttr(colours)
         return
     shown = np.zeros((len(shape.faces), 3), np.float32)
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
-    for k, (look, colour) in enumerate(zip(some, colours, strict=True)):
+    for k, (look, colour, picture) in enumerate(zip(some, colours, names, strict=True)):
         shown[look.faces] = look.light
         faces = Vt.IntArray.FromNumpy(look.faces.astype(np.int32))
         subset = binding.CreateMaterialBindSubset(f"colour_{k}", faces)
-        _bind_material(subset.GetPrim(), f"{prim.GetName()}_{k}", colour)
+        _bind_material(subset.GetPrim(), f"{prim.GetName()}_{k}", colour, picture)
     binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
     primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
     primvar.Set(Vt.Vec3fArray.FromNumpy(shown))
 
 
-def _bind_material(prim: Any, name: str, colour: Any) -> None:
-    """Bind a new material, for what is seen of it and for what touches it."""
+def _bind_material(prim: Any, name: str, colour: Any, picture: str) -> None:
+    """Bind a new material, for what is seen of it, in a colour or a picture, and for what touches
+    it."""
     Sdf, UsdPhysics, UsdShade = _pxr("Sdf", "UsdPhysics", "UsdShade")
 
     path = prim.GetStage().GetDefaultPrim().GetPath().AppendPath(f"Looks/{name}")
     material = UsdShade.Material.Define(prim.GetStage(), path)
     shader = UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
     shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(colour)
+    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(colour)
+    if picture:
+        diffuse.ConnectToSource(_add_picture(prim.GetStage(), path, picture))
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.8)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     rubbed = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
@@ -179,6 +203,25 @@ def _bind_material(prim: Any, name: str, colour: Any) -> None:
     rubbed.CreateDynamicFrictionAttr(SURFACE_FRICTION)
     _add_label(material.GetPrim(), "material", "wood")  # as DENSITY and SURFACE_FRICTION are of it
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def _add_picture(stage: Any, material: Any, picture: str) -> Any:
+    """Return the output of what reads a material's picture at the places of corners."""
+    Sdf, UsdShade = _pxr("Sdf", "UsdShade")
+
+    kinds = Sdf.ValueTypeNames
+    reader = UsdShade.Shader.Define(stage, material.AppendChild("places"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", kinds.String).Set(_PLACES)
+    texture = UsdShade.Shader.Define(stage, material.AppendChild("picture"))
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", kinds.Asset).Set(f"./{picture}")
+    texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
+    for axis in "wrapS", "wrapT":
+        texture.CreateInput(axis, kinds.Token).Set("repeat")
+    places = reader.CreateOutput("result", kinds.Float2)
+    texture.CreateInput("st", kinds.Float2).ConnectToSource(places)
+    return texture.CreateOutput("rgb", kinds.Float3)
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:

@@ -18,8 +18,8 @@ from articugen.instance import articulation
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.meshes.distances import nearest
 from articugen.meshes.mesh_file import check_format, export
-from articugen.meshes.painting import coloured_like, few
-from articugen.meshes.simpler import united
+from articugen.meshes.painting import coloured_like, laid_like, settled
+from articugen.meshes.simpler import simpler, united
 from articugen.sources import readers
 from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.source import open_source
@@ -115,32 +115,48 @@ def write_meshes(
     return {place: len(mesh.faces) for place, mesh in meshes.items()}
 
 
-def part_meshes(prepared: Prepared, resolution: int, *, colours: bool = False) -> Iterator[Mesh]:
+def part_meshes(
+    prepared: Prepared, resolution: int, *, within: float = 0.0, colours: bool = False
+) -> Iterator[Mesh]:
     """Yield each part's own solid, watertight, canonical pose, unit frame; or RejectedInstance. In
-    the `colours` of the faces that it is of, if it is prepared with some.
+    the `colours` and pictures of the faces that it is of, if it is prepared with some.
 
     Of a part all of whose faces belong to closed pieces it is their union, which is exact; of
-    another the zero level of its field."""
+    another the zero level of its field. With fewer faces if it may lie `within` so much of that."""
     whole, paint = prepared.mesh, prepared.extras.paint if colours else None
-    for part, solid in enumerate(prepared.own):
+    for part in range(len(prepared.own)):
         its = whole.part_of_face == part
-        some = few(paint.flat[its], face_areas(whole.vertices, whole.faces[its])) if paint else None
-        closed = closed_meshes(prepared, part, some) if solid.closed else ()
-        is_all = sum(len(piece.faces) for piece in closed) == its.sum()
-        mesh = exact = united(closed) if is_all else None
-        if mesh is None:
-            alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
-            try:
-                mesh = extract_mesh(alone, resolution)
-            except RejectedInstance as error:
-                raise RejectedInstance(f"part {part}: {error}") from None
-        if some is not None:
-            faces = whole.vertices[whole.faces[its]]
-            if exact:  # each of its faces is in one of the part's
-                mesh = replace(exact, colours=some[nearest(exact.triangles.mean(axis=1), faces)[1]])
-            else:
-                mesh = coloured_like(mesh, faces, some)
-        yield mesh
+        if paint is None:
+            mesh, _ = _part_mesh(prepared, part, resolution, None)
+            yield simpler(mesh, within) if within else mesh
+            continue
+        texture = paint.texture and paint.texture.of(its)
+        area = face_areas(whole.vertices, whole.faces[its])
+        some, texture = settled(paint.flat[its], texture, area)
+        mesh, is_exact = _part_mesh(prepared, part, resolution, some)
+        faces = whole.vertices[whole.faces[its]]
+        if is_exact:  # each of its faces is in one of the part's
+            mesh = replace(mesh, colours=some[nearest(mesh.triangles.mean(axis=1), faces)[1]])
+        else:
+            mesh = coloured_like(mesh, faces, some)
+        mesh = simpler(mesh, within) if within else mesh
+        yield laid_like(mesh, paint.corners[its], some, texture) if texture else mesh
+
+
+def _part_mesh(
+    prepared: Prepared, part: int, resolution: int, colours: Bytes | None
+) -> tuple[Mesh, bool]:
+    """Return the mesh of a part, and whether it is the union of closed pieces, each in one of the
+    `colours` of the part's faces."""
+    solid, count = prepared.own[part], (prepared.mesh.part_of_face == part).sum()
+    closed = closed_meshes(prepared, part, colours) if solid.closed else ()
+    if sum(len(piece.faces) for piece in closed) == count and (exact := united(closed)):
+        return exact, True
+    alone = PosedSolids((solid,), np.eye(4)[None], prepared.recipe.fusion)
+    try:
+        return extract_mesh(alone, resolution), False
+    except RejectedInstance as error:
+        raise RejectedInstance(f"part {part}: {error}") from None
 
 
 def closed_meshes(prepared: Prepared, part: int, colours: Bytes | None = None) -> tuple[Mesh, ...]:

@@ -18,7 +18,7 @@ from articugen.core.seeding import generator
 from articugen.evaluation.figures import Names, solid_of
 from articugen.evaluation.metrics import nearest_part_of
 from articugen.evaluation.reconstruction import PartJoints, Reconstruction, labelled_points
-from articugen.meshes.glb import Moving, Part, glb_of
+from articugen.meshes.glb import Drawn, Moving, Part, glb_of
 from articugen.meshes.model_text import Joint, Visual, obj_text, urdf_text
 from articugen.meshes.points import UNIT, Cloud, checked
 from articugen.pictures.layout import Row, save, sheet
@@ -132,7 +132,7 @@ def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT)
             most = max(moving.lower + _SHOWN[JointKind(kind)] * unit, 0.0)
             how = Moving(moving.name, moving.kind, np.asarray(moving.axis), moving.lower, most)
         vertices, faces = _welded(corners) if is_mesh else (corners[:, 0], None)
-        drawn = [(linear(colour_of(i)), faces)]
+        drawn = [Drawn(linear(colour_of(i)), faces)]
         parts.append(Part(f"part_{i}", 0, origin, vertices, drawn, how))
     write_atomically(folder / "input.glb", glb_of("input", parts))
     if not is_mesh:

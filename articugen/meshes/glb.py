@@ -8,7 +8,7 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,17 @@ class Moving:
     upper: float
 
 
+class Drawn(NamedTuple):
+    """Triangles `faces` (m, 3) of a part's vertices, or None for all of these as points, in one
+    colour, `light` (3,) linear, 0 to 1; or in a `picture`, a PNG, at the places (m, 3, 2) of their
+    corners, v up."""
+
+    light: Floats
+    faces: NDArray[np.integer] | None
+    picture: bytes = b""
+    places: Floats | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A node of the scene.
@@ -52,8 +63,7 @@ class Part:
         parent: the number of the part that it hangs on; the first part hangs on none.
         origin: (3,) where its node stands: a point on its axis.
         vertices: (n, 3) metres, in the frame of the scene.
-        drawn: of each colour, (3,) linear, 0 to 1, the triangles (m, 3); or None where it is a
-            cloud of points.
+        drawn: of each colour or picture what has it.
         joint: None where it is fixed to its parent.
     """
 
@@ -61,7 +71,7 @@ class Part:
     parent: int
     origin: Floats
     vertices: Floats
-    drawn: Sequence[tuple[Floats, NDArray[np.integer] | None]]
+    drawn: Sequence[Drawn]
     joint: Moving | None = None
 
 
@@ -72,13 +82,26 @@ class _Buffer:
         self.data = bytearray()
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
+        self.images: list[dict[str, Any]] = []
+
+    def add_material(self, drawn: Drawn) -> dict[str, Any]:
+        """Return the material of what is drawn, whose picture is added."""
+        if not drawn.picture:
+            how = {"baseColorFactor": [*drawn.light.tolist(), 1.0]}
+        else:
+            how = {"baseColorTexture": {"index": len(self.images)}}
+            self.images.append({"bufferView": len(self.views), "mimeType": "image/png"})
+            place = {"byteOffset": len(self.data), "byteLength": len(drawn.picture)}
+            self.views.append({"buffer": 0, **place})
+            self.data += drawn.picture + bytes(-len(drawn.picture) % 4)
+        return {"pbrMetallicRoughness": {**how, **_MATERIAL}}
 
     def add(self, array: NDArray[Any], *, used_as: int | None = None) -> int:
         """Return the number of a new accessor of `array`: (n,) or (n, k), float32 or uint32."""
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
         self.views.append(view if used_as is None else {**view, "target": used_as})
         flat = array.reshape(len(array), -1)
-        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[flat.shape[1]]
+        kind = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[flat.shape[1]]
         self.accessors.append({
             "bufferView": len(self.views) - 1,
             "componentType": _FLOAT if array.dtype == np.float32 else _UINT,
@@ -115,11 +138,7 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
         "scenes": [{"nodes": [0]}],
         "nodes": nodes,
         "meshes": [_mesh(parts[k], k, first[k], buffer) for k in shown],
-        "materials": [
-            {"pbrMetallicRoughness": {"baseColorFactor": [*colour.tolist(), 1.0], **_MATERIAL}}
-            for part in parts
-            for colour, _ in part.drawn
-        ],
+        "materials": [buffer.add_material(drawn) for part in parts for drawn in part.drawn],
         "animations": [
             _animation(part.joint, k, nodes[k + 1]["translation"], buffer)
             for k, part in enumerate(parts)
@@ -129,6 +148,9 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.data)}],
     }
+    if buffer.images:
+        scene["images"] = buffer.images
+        scene["textures"] = [{"source": k} for k in range(len(buffer.images))]
     text = json.dumps(scene, separators=(",", ":")).encode()
     chunks = [_chunk(b"JSON", text, b" "), _chunk(b"BIN\0", bytes(buffer.data), b"\0")]
     header = struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks)))
@@ -136,16 +158,24 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
 
 
 def _mesh(part: Part, number: int, material: int, buffer: _Buffer) -> dict[str, Any]:
-    """Return the mesh of a part, all of whose colours, from that `material` on, share vertices."""
+    """Return the mesh of a part, all of whose colours share vertices; its materials are numbered
+    from `material` on."""
     place = (part.vertices - part.origin).astype(np.float32)
-    points = {"attributes": {"POSITION": buffer.add(place, used_as=_VERTICES)}}
+    shared = {"POSITION": buffer.add(place, used_as=_VERTICES)}
     primitives: list[dict[str, Any]] = []
-    for k, (_, faces) in enumerate(part.drawn, material):
-        how = {"mode": _POINTS}
-        if faces is not None:
-            corners = faces.astype(np.uint32).ravel()
-            how = {"indices": buffer.add(corners, used_as=_INDICES)}
-        primitives.append({**points, **how, "material": k})
+    for k, drawn in enumerate(part.drawn, material):
+        how: dict[str, Any] = {"attributes": shared}
+        if drawn.faces is None:
+            how["mode"] = _POINTS
+        elif drawn.places is not None:  # a corner has another place on each of its faces
+            places = drawn.places.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
+            corners = place[drawn.faces.ravel()], places.astype(np.float32)
+            both = (buffer.add(array, used_as=_VERTICES) for array in corners)
+            how["attributes"] = dict(zip(("POSITION", "TEXCOORD_0"), both, strict=True))
+        else:
+            corners = drawn.faces.astype(np.uint32).ravel()
+            how["indices"] = buffer.add(corners, used_as=_INDICES)
+        primitives.append({**how, "material": k})
     return {"name": f"part_{number}", "primitives": primitives}
 
 

@@ -197,7 +197,7 @@ def with_looks(*, wanted: bool) -> Iterator[Looks]:
 
 
 def decoded(data: bytes | memoryview) -> Bytes | None:
-    """Decode a texture to (h, w, 3) sRGB of at most 256 x 256, in a process of its own; None where
+    """Decode a texture to (h, w, 3) sRGB of at most 512 x 512, in a process of its own; None where
     it is none, or takes more than that may. Raises MachineFault where no process can run."""
     command = [sys.executable, "-I", pixels.__file__]
     try:

@@ -1,4 +1,5 @@
-"""Colours of meshes: those of other faces carried over, few of them, and faces by colour."""
+"""Colours and pictures of meshes: those of other faces carried over, few of them, and faces by
+them."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -7,22 +8,29 @@ import numpy as np
 
 from articugen.core.arrays import Bytes, Floats, Indices, Ints
 from articugen.core.colours import colour_of, linear, rgb, srgb_linear
+from articugen.core.geometry import plane_weights
 from articugen.core.records import Mesh
+from articugen.core.texture import Texture, between
 
 MOST_COLOURS = 32
 """Of a part: each is a material, a texture's could be thousands."""
 
 _HALVINGS = 10  # of an edge until the border of two colours on it is known
+_INWARDS = 0.02  # from a corner towards the middle of a face, which lies on one side of a seam
+_AGREES = 0.02  # of a picture's edge: faces that differ by more have no common map
 
 
 class Look(NamedTuple):
     """Faces of a mesh that are drawn in one colour: #rrggbb, and the same as linear light, (3,);
-    their area is in the mesh's units."""
+    their area is in the mesh's units. Or in a picture (h, w, 3), of which that is the mean, at the
+    `places` (n, 3, 2) of their corners; see `Texture`."""
 
     colour: str
     light: Floats
     faces: Indices
     area: float
+    picture: Bytes | None = None
+    places: Floats | None = None
 
     @property
     def rgba(self) -> list[float]:
@@ -31,8 +39,8 @@ class Look(NamedTuple):
 
 
 def looks(mesh: Mesh, part: int = 0) -> list[Look]:
-    """Return the faces of a mesh by their colours, the widest first; all of it in the colour of a
-    `part` in our pictures where it has none."""
+    """Return the faces of a mesh by their colours and pictures, the widest first; all of it in the
+    colour of a `part` in our pictures where it has none."""
     a, b, c = np.moveaxis(mesh.triangles, 1, 0)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if mesh.colours is None:
@@ -41,6 +49,13 @@ def looks(mesh: Mesh, part: int = 0) -> list[Look]:
     numbers, which = np.unique(_number(mesh.colours), return_inverse=True)
     some = [(f"#{n:06x}", np.flatnonzero(which == k)) for k, n in enumerate(numbers)]
     groups = [Look(c, srgb_linear(c), faces, area[faces].sum()) for c, faces in some]
+    if (texture := mesh.texture) is not None:
+        shown = [int(texture.which[look.faces[0]]) for look in groups]
+        groups = [
+            look._replace(picture=texture.pictures[n], places=texture.places[look.faces])
+            if n >= 0 else look
+            for n, look in zip(shown, groups, strict=True)
+        ]  # fmt: skip
     return sorted(groups, key=lambda look: -round(look.area, 6))
 
 
@@ -62,6 +77,68 @@ def few(colours: Bytes, weights: Floats) -> Bytes:
     share = weights + 1e-12  # of faces without area alone
     means = [np.bincount(which, share * column) / np.bincount(which, share) for column in colours.T]
     return np.stack(means, axis=1).round().astype(np.uint8)[which]
+
+
+def settled(
+    colours: Bytes, texture: Texture | None, weights: Floats
+) -> tuple[Bytes, Texture | None]:
+    """Return the colours (F, 3) and the texture of faces as materials have them: pictures in their
+    tint, whose faces have a colour that no others have, about their mean by `weights` (F,); others
+    as `few`."""
+    if texture is None:
+        return few(colours, weights), None
+    wide = np.array([picture.size > colours.shape[1] for picture in texture.pictures] + [False])
+    laid = wide[texture.which]
+    plain = few(colours[~laid], weights[~laid])
+    tint = few(np.round(255.0 * texture.tint.mean(axis=1)).astype(np.uint8), weights)
+    keys = np.where(laid, (texture.which << 24) + _number(tint), -1)
+    settled, which, pictures = colours.copy(), np.full(len(keys), -1), []
+    settled[~laid] = plain
+    taken = set(_number(plain).tolist())
+    for key in np.unique(keys[laid]):
+        some = np.flatnonzero(keys == key)
+        which[some] = len(pictures)
+        picture = texture.pictures[key >> 24] * (tint[some[0]] / 255.0)
+        pictures.append(np.round(picture).astype(np.uint8))
+        mean = np.average(colours[some], axis=0, weights=weights[some] + 1e-12)
+        number = int(_number(mean.round().astype(np.uint8)))
+        while number in taken:
+            number = (number + 1) % 2**24
+        taken.add(number)
+        settled[some] = rgb(f"#{number:06x}")
+    even = np.ones_like(texture.tint)
+    return settled, Texture(tuple(pictures), which, texture.places, even) if pictures else None
+
+
+def laid_like(mesh: Mesh, triangles: Floats, colours: Bytes, texture: Texture) -> Mesh:
+    """Return a mesh whose faces have some of the `settled` colours (F, 3) of other `triangles` (F,
+    3, 3) near them, with the pictures that lie on these."""
+    which, places = np.full(len(mesh.faces), -1), np.zeros((len(mesh.faces), 3, 2))
+    for n in range(len(texture.pictures)):
+        some = np.flatnonzero(texture.which == n)
+        rows = np.flatnonzero((mesh.colours == colours[some[0]]).all(axis=1))
+        which[rows] = n
+        corners = mesh.triangles[rows]
+        middle = corners.mean(axis=1, keepdims=True)
+        inner = corners + _INWARDS * (middle - corners)
+        whole, apart = (
+            _placed(corners, by, triangles[some], texture.places[some]) for by in (middle, inner)
+        )
+        agree = np.abs(whole.mean(axis=1) - apart.mean(axis=1)).max(axis=1) < _AGREES
+        places[rows] = np.where(agree[:, None, None], apart, whole)
+    even = np.ones((*places.shape[:2], 3))
+    return replace(mesh, texture=Texture(texture.pictures, which, places, even))
+
+
+def _placed(corners: Floats, by: Floats, triangles: Floats, places: Floats) -> Floats:
+    """Return (m, 3, 2) where corners (m, 3, 3) of faces are in a picture whose places are those of
+    the corners of triangles, by the ones that are nearest to points `by` (m, 1 or 3, 3)."""
+    from articugen.meshes.distances import nearest  # noqa: PLC0415 - compiles; hulls need none
+
+    near = nearest(by.reshape(-1, 3), triangles)[1].reshape(by.shape[:2])
+    near = np.broadcast_to(near, corners.shape[:2]).ravel()
+    weights = plane_weights(triangles[near], corners.reshape(-1, 3))
+    return between(places[near], weights).reshape(*corners.shape[:2], 2)
 
 
 def coloured_like(mesh: Mesh, triangles: Floats, colours: Bytes) -> Mesh:

@@ -13,7 +13,7 @@ UNREADABLE = 3
 """Its exit status where the input is no picture of FORMATS, or one of more than MOST_PIXELS."""
 FORMATS = ("PNG", "JPEG", "BMP", "TGA", "WEBP")
 MOST_PIXELS = 64_000_000
-SIDE = 256  # pixels along an edge of what comes out, at most
+SIDE = 512  # pixels along an edge of what comes out, at most
 MEMORY, SECONDS = 5 << 28, 20
 
 

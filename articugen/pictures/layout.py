@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from articugen.core.errors import InvalidArgument
@@ -75,6 +77,11 @@ def png(picture: Picture, *, level: int = 6) -> bytes:
     file = io.BytesIO()
     picture.save(file, "PNG", compress_level=level)
     return file.getvalue()
+
+
+def png_of(pixels: NDArray[np.unsignedinteger]) -> bytes:
+    """Return pixels (h, w, 3 or 4) of uint8, or (h, w) of uint16, as a PNG."""
+    return png(Image.fromarray(pixels))
 
 
 def gif(frames: Sequence[Picture], milliseconds: int) -> bytes:
