@@ -1,5 +1,9 @@
 """Exports for simulators at work: joints that rest, give way and stop; NVIDIA's own validator."""
 
+import re
+import subprocess
+import sys
+
 import exports
 import numpy as np
 import pytest
@@ -77,7 +81,8 @@ def test_usd_states_what_simready_wants_to_know(exported, rows):
 
 def test_usd_passes_nvidias_own_validator(laptops, tmp_path):
     pytest.importorskip("pxr", reason="make exporters installs it")
-    validate = pytest.importorskip("simready.validate", reason="docs/exports/usd.md installs it")
+    why = "make exporters installs it, on Python 3.11 and 3.12"
+    validate = pytest.importorskip("simready.validate", reason=why)
     ag.export(laptops, "usd", tmp_path / "u", collision=True, resolution=64)
     paths = sorted(tmp_path.glob("u/*/*/usd/*.usdc"))
     assert len(paths) == 2
@@ -94,3 +99,29 @@ def test_usd_passes_nvidias_own_validator(laptops, tmp_path):
                 if feature["blocking_failure"]
             }
             assert blocking == {}
+
+
+def checked(folder, program, *arguments):
+    """What one of the programs that check robots' models says, in no colours."""
+    pytest.importorskip(program, reason="make exporters installs it")
+    code = f"import sys; from {program}.cli import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        check=True, capture_output=True, text=True, cwd=folder,
+    )  # fmt: skip
+    return re.sub(r"\x1b\[[0-9;]*m", "", done.stdout)
+
+
+def test_programs_that_check_robots_find_nothing(laptops, tmp_path):
+    for to in ("mjcf", "urdf"):
+        ag.export(laptops, to, tmp_path / to, collision=True, resolution=64)
+    for path in tmp_path.glob("mjcf/*/*/*.xml"):
+        assert f"{path.name}  — clean" in checked(tmp_path, "mjcf_doctor", "check", path)
+    paths = sorted(tmp_path.glob("urdf/*/*/*.urdf"))
+    assert len(paths) == 2
+    for path in paths:
+        words = checked(tmp_path, "isaaclab_robot_doctor", "check", path)
+        assert "0 errors, 0 warnings" in words
+        words = checked(tmp_path, "urdf_validator_main", path, "--output-dir", tmp_path)
+        assert re.search(r"\[OVERALL\] +PASS", words)
+        assert "FAIL" not in words
