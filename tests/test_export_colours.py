@@ -305,6 +305,33 @@ def test_pictures_lie_where_the_model_s_lie(board, tmp_path, to):
     assert asked > 20
 
 
+def test_a_picture_goes_round_a_curved_wall(tmp_path):
+    """A tube of 48 sides, whose colours go round with the angle and up with z; its wall is fused,
+    for it is open."""
+    n, (rows, columns) = 48, np.mgrid[:256, :256]
+    lines, angle = ["mtllib box.mtl", "usemtl t"], 2.0 * np.pi * np.arange(n + 1) / n
+    for k, (x, y) in enumerate(0.5 + 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)):
+        lines += [f"v {x} {y} {z}\nvt {k / n} {z}" for z in (0, 1)]
+    for a, b, c, d in ((2 * k + 1, 2 * k + 3, 2 * k + 4, 2 * k + 2) for k in range(n)):
+        lines.append(f"f {a}/{a} {b}/{b} {c}/{c} {d}/{d}")
+    turn = 2.0 * np.pi * columns / 256
+    picture = [128 + 127 * np.sin(turn), 128 + 127 * np.cos(turn), 255 - rows]
+    picture = png(Image.fromarray(np.stack(picture, axis=-1).astype(np.uint8)))
+    mtl = "newmtl t\nKd 1 1 1\nmap_Kd t.png\n"
+    files = {"slide.urdf": URDF, "box.obj": "\n".join(lines) + "\n", "box.mtl": mtl}
+    path = exported(data_set(tmp_path / "m", {**files, "t.png": picture}), "glb", tmp_path)
+    asked = 0
+    for weights in WEIGHTS:
+        (triangles, colours), _ = in_gltf(path, weights)
+        x, y, z = np.einsum("k,nkj->jn", weights, triangles) - [[0.5], [0.5], [0.0]]
+        side = np.flatnonzero((np.hypot(x, y) > 0.45) & (np.abs(z - 0.5) < 0.47))
+        turn = np.arctan2(y, x)[side]
+        true = [128 + 127 * np.sin(turn), 128 + 127 * np.cos(turn), 255 * z[side]]
+        np.testing.assert_allclose(colours[side], np.transpose(true), atol=8)
+        asked += len(side)
+    assert asked > 1000
+
+
 def test_names_of_materials_are_ours(board, tmp_path):
     exported(board, "urdf", tmp_path)
     text = "".join(next(tmp_path.rglob(f"part_0.{end}")).read_text() for end in ("obj", "mtl"))
