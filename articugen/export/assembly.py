@@ -170,7 +170,7 @@ def _apart(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
     """Return what is seen of a mesh, a name a look, and the files of it."""
     if not some:
         return {name: None}, {f"{name}.obj": _obj(mesh.vertices, {"": (mesh.faces, None)})}
-    shown = [look for look in some if look.area > _SPECK]
+    shown = [look for look in some if look.area > _SPECK] or some[:1]
     names = [f"{name}_colour_{k}" for k in range(len(shown))] if len(some) > 1 else [name]
     files: dict[str, bytes] = {}
     for file, look in zip(names, shown, strict=True):

@@ -47,14 +47,17 @@ def _write(item: Item, target: Files) -> None:
         parts = bodies(item, target)
         _fill(path, name, item, parts)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-    drawn = [(body, look) for k, body in enumerate(parts) for look in looks(body.unit_mesh, k)]
-    for part, body in enumerate(parts):
-        for k, look in enumerate(looks(body.unit_mesh, part)):
-            if place := _picture_name(part, k, look):
-                target.write(f"{item.key}/usd/{place}", picture_of(look))
-    faces = [body.unit_mesh.triangles[look.faces] for body, look in drawn]
+    drawn = [
+        (body, look, _picture_name(part, k, look))
+        for part, body in enumerate(parts)
+        for k, look in enumerate(looks(body.mesh, part))
+    ]
+    for _, look, place in drawn:
+        if place:
+            target.write(f"{item.key}/usd/{place}", picture_of(look))
+    faces = [body.unit_mesh.triangles[look.faces] for body, look, _ in drawn]
     group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
-    colours = [look.colour for _, look in drawn]
+    colours = [look.colour for _, look, _ in drawn]
     picture = parts_portrait(np.concatenate(faces), group, 256, colours)
     target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(picture))
 
