@@ -18,7 +18,7 @@ from test_report import result
 from trouble import unfit
 
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, MachineFault
-from articugen.core.files import partial_name
+from articugen.core.files import locked, partial_name
 from articugen.evaluation.results import read_evaluation
 from articugen.learning import sealed as files
 from articugen.learning.commands import newest
@@ -328,7 +328,7 @@ def test_a_folder_whose_making_was_cut_short_is_no_run(boxes, tmp_path):
 
 def test_two_do_not_train_in_one_folder(run, boxes):
     busy = pytest.raises(ArticugenError, match="another run is writing here; wait for it")
-    with run.locked(), busy:
+    with locked(run.path), busy:
         train(Training(TINY, "box", boxes, run.path.parent, resume=run.path))
 
 

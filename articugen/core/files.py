@@ -284,3 +284,13 @@ def lock_folder(folder: Path, kind: int = fcntl.LOCK_EX) -> int:
         except OSError:
             pass  # a file system without locks: there the user must see to it
         return handle
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other runs out of a folder within; raises as `lock_folder`."""
+    handle = lock_folder(folder)
+    try:
+        yield
+    finally:
+        os.close(handle)

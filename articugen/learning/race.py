@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from articugen.core.errors import InvalidCheckpoint, TrainingDiverged
-from articugen.core.files import write_atomically
+from articugen.core.files import locked, write_atomically
 from articugen.core.memory import given_back
 from articugen.core.processes import Crew, report
 from articugen.learning.loop import SEEDS, SHARDS, Notify, Progress, Training, train
@@ -84,7 +84,7 @@ def race(what: Training, *, jobs: int = 1, on_progress: Notify = lambda _: None)
     windows = what.instances(learner, 0, notify)[0]
     run = what.resumed(what.resume)[0] if what.resume else what.new_run()
     alone = replace(what, runs=run.path / SEEDS)
-    with run.locked():
+    with locked(run.path):
         with given_back(SHARDS):
             learner.begin(next(windows), what.beside, notify)
         del learner, windows  # all instances

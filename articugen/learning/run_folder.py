@@ -27,7 +27,7 @@ from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe
 from articugen.core.files import (
     UnfitFile,
-    lock_folder,
+    locked,
     make_folder,
     read_regular,
     sync,
@@ -221,24 +221,11 @@ class RunFolder:
         if not (path / "run.json").is_file() and not (path / LATEST).is_file():
             raise InvalidCheckpoint(f"{path}: has no {LATEST} to go on from; start a new run")
         run, ours = RunFolder(path), ("recipe.yaml", "run.json", "race.json", METRICS, LATEST, BEST)
-        with run.locked():
+        with locked(path):
             for left in path.glob(".*.partial"):  # by a process that was killed while it wrote
                 if whole_name(left.name) in ours:
                     left.unlink(missing_ok=True)
         return run
-
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Keep other processes that want to train here out.
-
-        Raises:
-            ArticugenError: one is at work.
-        """
-        handle = lock_folder(self.path)
-        try:
-            yield
-        finally:
-            os.close(handle)
 
     def recipe(self) -> TrainRecipe:
         """Return the recipe that the run was started with.
@@ -295,7 +282,7 @@ class RunFolder:
             ArticugenError: another process trains here.
             MachineFault: the disk is full, or the like.
         """
-        with self.locked(), _board(self.path, iteration) as add_scalars:
+        with locked(self.path), _board(self.path, iteration) as add_scalars:
             kept = [r for r in self.metrics() if r["iteration"] <= iteration]
             text = "".join(json.dumps(record) + "\n" for record in kept)
             write_atomically(self.path / METRICS, text.encode())

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
-from articugen.core.files import lock_folder, read_regular, sha256_of, write_atomically
+from articugen.core.files import locked, read_regular, sha256_of, write_atomically
 from articugen.core.recipe import Recipe
 from articugen.instance.again import resolved
 from articugen.instance.preparing import prepare
@@ -46,16 +46,13 @@ _NO_RUN = Timings(seconds=0.0, instances_per_second=0.0, peak_memory_bytes=0, wo
 def rebuild(folder: Path, *, jobs: int) -> str:
     """Write the manifest of a data set again, and return what was done, in one sentence;
     ArticugenError if its shards say too little, or a run is at work or was cut short."""
-    lock = lock_folder(folder)
-    try:
+    with locked(folder):
         if any(map(is_unfinished, os.listdir(folder))):
             raise ArticugenError(
                 "a run was cut short here; start it again: it goes on, and makes damaged shards "
                 "again"
             )
         return _rebuilt(folder, jobs)
-    finally:
-        os.close(lock)
 
 
 @dataclass(frozen=True)

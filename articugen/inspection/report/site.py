@@ -20,7 +20,7 @@ from PIL import Image
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import ArticugenError, printable
-from articugen.core.files import UnfitFile, lock_folder, whole_name
+from articugen.core.files import UnfitFile, locked, whole_name
 from articugen.core.place import Folder
 from articugen.core.processes import in_order
 from articugen.core.records import dequantize
@@ -81,8 +81,8 @@ def site(
     path, folder = Path(data), Path(out)
     shards = shards_of(path)
     manifest = Manifest.read(path) if (path / MANIFEST_NAME).is_file() else None
-    place, lock = _taken(folder)
-    try:
+    with locked(folder):
+        place = _taken(folder)
         about: list[Facts] = []
         truths: list[Measured] = []
         tiles: list[tuple[str, Markup]] = []
@@ -114,31 +114,24 @@ def site(
         place.write(_INDEX, index)
         old = [name for name in place.list(_OBJECTS) if _OURS.fullmatch(whole_name(name) or name)]
         place.delete(f"{_OBJECTS}/{name}" for name in old if name not in written)
-    finally:
-        os.close(lock)
     return Site(folder, len(tiles), len(index) + sum(written.values()))
 
 
-def _taken(folder: Path) -> tuple[Folder, int]:
-    """Return the folder, and a lock on it, once it is known to hold a site or nothing."""
-    lock = lock_folder(folder)
+def _taken(folder: Path) -> Folder:
+    """Return the folder, once it is known to hold a site or nothing."""
+    place, names = Folder(folder), set(os.listdir(folder))
     try:
-        place, names = Folder(folder), set(os.listdir(folder))
-        try:
-            index = place.read(_INDEX) or b""
-        except UnfitFile:
-            index = b""
-        if names and text(SOURCES).encode() not in index[:2000]:
-            raise ArticugenError(
-                f"{folder}: holds something else ({min(names)}); choose an empty or new folder"
-            )
-        if not names:  # if this is killed, the next call knows whose folder it is
-            unfinished = [("all", "Not finished", hint("This site is still being written."))]
-            place.write(_INDEX, _document("A data set", el("header"), unfinished))
-    except BaseException:
-        os.close(lock)
-        raise
-    return place, lock
+        index = place.read(_INDEX) or b""
+    except UnfitFile:
+        index = b""
+    if names and text(SOURCES).encode() not in index[:2000]:
+        raise ArticugenError(
+            f"{folder}: holds something else ({min(names)}); choose an empty or new folder"
+        )
+    if not names:  # if this is killed, the next call knows whose folder it is
+        unfinished = [("all", "Not finished", hint("This site is still being written."))]
+        place.write(_INDEX, _document("A data set", el("header"), unfinished))
+    return place
 
 
 def _document(title: str, header: Markup, parts: Sequence[Section]) -> bytes:
