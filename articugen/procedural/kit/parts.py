@@ -131,12 +131,12 @@ def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:
     return Solid(vertices, tuple(tuple(face[::-1] for face in cell) for cell in solid.cells))
 
 
-def rod(path: ArrayLike, radius: float, sides: int = 8, *, closed: bool = False) -> Solid:
-    """Build a round bar along a polyline (n, 3); a closed one lies in a plane z = const."""
+def rod(path: ArrayLike, radius: float, sides: int = 8) -> Solid:
+    """Build a round bar along a polyline (n, 3)."""
     points = np.asarray(path, dtype=np.float64)
     first = np.abs(points[1] - points[0])
     up = (0.0, 0.0, 1.0) if first[2] < 0.9 * norm(first) else (1.0, 0.0, 0.0)
-    return sweep(points, circle(radius, sides), closed=closed, up=up)
+    return sweep(points, circle(radius, sides), up=up)
 
 
 def tapered(radii: ArrayLike, heights: ArrayLike, sides: int = 16) -> Solid:
