@@ -149,30 +149,16 @@ def distances(
 
 
 @helper
-def _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
-    """Return whether point n is within `reach` of (x, y, z) and may be of the same surface."""
-    dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
-    if dx * dx + dy * dy + dz * dz > reach * reach:
-        return False
-    return _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across)
-
-
-@helper
 def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
-    """Return whether `nearest` would find a point; what is in the same cell is examined first."""
-    a, b = int(np.floor((x + 0.5) * CELLS)), int(np.floor((y + 0.5) * CELLS))
-    c = int(np.floor((z + 0.5) * CELLS))
-    if 0 <= a < CELLS and 0 <= b < CELLS and 0 <= c < CELLS:
-        cell = (a * CELLS + b) * CELLS + c
-        for m in range(starts[pose, cell], starts[pose, cell + 1]):
-            n = np.uintp(m)
-            if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
-                return True
+    """Return whether `nearest` would find a point."""
     for i in _span(x, reach):
         for j in _span(y, reach):
             for m in _row(starts, pose, i, j, z, reach):
                 n = np.uintp(m)
-                if _fits(points, normals, signed, n, x, y, z, nx, ny, nz, reach, across):
+                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                if dx * dx + dy * dy + dz * dz <= reach * reach and _is_alike(
+                    normals, signed, n, dx, dy, dz, nx, ny, nz, across
+                ):
                     return True
     return False
 
