@@ -142,13 +142,6 @@ def _within(among, queries, radius, any_one, counts):  # pragma: no cover - comp
         x_low, x_end = reached(cells, 0, query[0], reach)
         y_low, y_end = reached(cells, 1, query[1], reach)
         z_low, z_end = reached(cells, 2, query[2], reach)
-        if any_one:  # mostly there is one in the middle
-            row = ((x_low + x_end) // 2 * cells.shape[1] + (y_low + y_end) // 2) * cells.shape[2]
-            if x_low < x_end and y_low < y_end:
-                begin, end = cells.first[row + z_low], cells.first[row + z_end]
-                nearest[k] = _nearest(points, begin, end, query, best, counts)[0]
-                if nearest[k] >= 0:
-                    continue
         for x in range(x_low, x_end):
             off = _off(cells, 0, x, query[0])
             for y in range(y_low, y_end):
