@@ -166,10 +166,6 @@ class _Vote:
         """Return the objects of which something is not explained."""
         return [i for i, free in enumerate(self.free) if free.sum() >= _FEWEST_MOVERS]
 
-    def leave_out(self, follow: Sequence[Floats]) -> None:
-        """Take as explained what follows a joint."""
-        self.free = [f & (share < _FOLLOWS) for f, share in zip(self.free, follow, strict=True)]
-
     def some(self, i: int) -> NDArray[np.intp]:
         which = np.flatnonzero(self.free[i])
         return which if len(which) <= _VOTERS else self.rng.permutation(which)[:_VOTERS]
@@ -300,7 +296,7 @@ def discover_shared(
             break
         joints.append(joint)
         follows.append(follow)
-        vote.leave_out(follow)
+        vote.free = [f & (share < _FOLLOWS) for f, share in zip(vote.free, follow, strict=True)]
     part = _labels(vote, follows)
     return Category(tuple(joints), doubtful, stretch, shift, agreement, part)
 

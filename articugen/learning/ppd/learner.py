@@ -141,8 +141,8 @@ class PPDLearner(Predictor):
     def at(self, iteration: int) -> None:
         """Stand at an iteration: its stage's flags hold."""
         self.iteration = iteration
-        stage = self.settings.schedule.stage_at(iteration)
-        self.residual_direction = stage.residual_direction
+        plan = self.settings.schedule
+        self.residual_direction = plan.stages[plan.index_at(iteration)].residual_direction
 
     def _begin_stage(self) -> None:
         """Optimisers start again in each stage, as in the release."""

@@ -201,10 +201,6 @@ class PPDSchedule(Schedule):
         PPDStage(resolution=32, iterations=49_000, residual_direction=True),
     )
 
-    def stage_at(self, iteration: int) -> PPDStage:
-        """Return the stage that an iteration (from 0) belongs to."""
-        return self.stages[self.index_at(iteration)]
-
 
 class PPDRecipe(TrainRecipe):
     """A recipe of PPD, resolved. The defaults are the text of the paper."""
