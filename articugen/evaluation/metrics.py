@@ -64,39 +64,13 @@ def dominant_labels(table: Floats) -> Ints:
 
 def assigned(gain: Floats) -> Ints:
     """Return (K,) the column of each row of (K, P), no two the same, with the greatest sum of
-    gains; NO_LABEL where that gains nothing.
+    gains; NO_LABEL where that gains nothing."""
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - of learners alone
 
-    The Hungarian method: rows are taken in one after the other, each along the cheapest path of
-    changes (Kuhn 1955; with the potentials of Jonker and Volgenant 1987).
-    """
-    rows, columns = gain.shape
-    cost = np.zeros((rows, max(rows, columns)))
-    cost[:, :columns] = -gain
-    of_row, of_column = np.zeros(rows), np.zeros(cost.shape[1])  # potentials
-    owner = np.full(cost.shape[1], NO_LABEL)
-    for row in range(rows):
-        least, before = np.full(len(owner), np.inf), np.full(len(owner), NO_LABEL)
-        reached, column, here = np.zeros(len(owner), bool), NO_LABEL, row
-        while here != NO_LABEL:
-            away = cost[here] - of_row[here] - of_column
-            nearer = ~reached & (away < least)
-            least[nearer], before[nearer] = away[nearer], column
-            column = int(np.where(reached, np.inf, least).argmin())
-            step = least[column]
-            of_row[row] += step
-            of_row[owner[reached]] += step
-            of_column[reached] -= step
-            least[~reached] -= step
-            reached[column] = True
-            here = owner[column]
-        while column != NO_LABEL:
-            previous = before[column]
-            owner[column] = row if previous == NO_LABEL else owner[previous]
-            column = previous
-    labels = np.full(rows, NO_LABEL)
-    for column in np.flatnonzero(owner[:columns] != NO_LABEL):
-        if gain[owner[column], column] > 0.0:
-            labels[owner[column]] = column
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    labels = np.full(len(gain), NO_LABEL)
+    gains = gain[rows, columns] > 0.0
+    labels[rows[gains]] = columns[gains]
     return labels
 
 

@@ -12,9 +12,10 @@ from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtr
 
 try:
     import safetensors  # noqa: F401 - what checkpoints are written with
+    import scipy  # noqa: F401 - what parts are matched with
     import torch
 except ImportError as error:
-    name = "safetensors" if error.name == "safetensors" else "torch"
+    name = error.name if error.name in ("safetensors", "scipy") else "torch"
     raise MissingExtra(name, "ppd") from None
 
 from articugen.core.files import write_atomically
