@@ -12,6 +12,7 @@ from articugen.core.records import Mesh
 from articugen.meshes.painting import looks
 
 _EVEN = 2.0**22  # places along an edge of the unit frame: what touches but for rounding touches
+_TRIES = 24  # of grids that are so many times coarser: on another, other corners coincide
 
 
 def manifold(mesh: Mesh) -> manifold3d.Manifold:
@@ -34,11 +35,14 @@ def united(closed: Sequence[Mesh]) -> Mesh | None:
 
     if any(mesh.colours is not None and np.ptp(mesh.colours, axis=0).any() for mesh in closed):
         return None
-    even = [replace(mesh, vertices=np.round(mesh.vertices * _EVEN) / _EVEN) for mesh in closed]
-    union = manifold3d.Manifold.batch_boolean(shells(even), manifold3d.OpType.Add)
-    mesh = mesh_of(union.simplify(1.0 / _EVEN))
-    apart = len(np.unique(np.round(mesh.vertices * _EVEN), axis=0)) == len(mesh.vertices)
-    return mesh if apart and not len(crossings(mesh.triangles, 1)) else None
+    for grid in _EVEN / np.arange(1, _TRIES + 1):
+        even = [replace(mesh, vertices=np.round(mesh.vertices * grid) / grid) for mesh in closed]
+        union = manifold3d.Manifold.batch_boolean(shells(even), manifold3d.OpType.Add)
+        mesh = mesh_of(union.simplify(1.0 / grid))
+        apart = len(np.unique(np.round(mesh.vertices * _EVEN), axis=0)) == len(mesh.vertices)
+        if apart and not len(crossings(mesh.triangles, 1)):
+            return mesh
+    return None
 
 
 def mesh_of(solid: manifold3d.Manifold) -> Mesh:
