@@ -87,8 +87,9 @@ def drawn_sheet(shards: Sequence[Path], objects: int, states: int) -> Picture:
 
 
 def portraits(
-    chosen: Sequence[Chosen], *, states: int, pooling: int = POOLED, size: int = TILE
-) -> list[Portraits]:
+    chosen: Sequence[Chosen], *, states: int, pooling: int = POOLED, size: int = TILE,
+    which: slice = slice(None),
+) -> list[Portraits]:  # fmt: skip
     """Pictures of objects in `states` instances each.
 
     The first instance of an object is the canonical pose; the others are in the order of how far
@@ -97,6 +98,7 @@ def portraits(
     Args:
         pooling: number of an object's instances whose points make its pictures.
         size: of a picture, pixels.
+        which: of these instances are drawn; the others only say how much room an object takes.
 
     Raises:
         CorruptShard: a shard cannot be read.
@@ -112,9 +114,10 @@ def portraits(
         for one, (instances, discs) in objects:
             points = np.concatenate([dequantize(i.surface_points) for i in instances])
             camera = tile_camera(points, azimuth[one.category], size)
-            tiles += [(discs, i, camera, float(points[:, 2].min())) for i in instances]
+            tiles += [(discs, i, camera, float(points[:, 2].min())) for i in instances[which]]
         drawn = pool.map(lambda tile: portrait(*tile), tiles)
-    return [Portraits(one, some, tuple(next(drawn) for _ in some)) for one, (some, _) in objects]
+    shown = [(one, instances[which]) for one, (instances, _) in objects]
+    return [Portraits(one, some, tuple(next(drawn) for _ in some)) for one, some in shown]
 
 
 def chosen_of(shards: Sequence[Path], objects: int) -> list[Chosen]:
