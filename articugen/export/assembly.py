@@ -154,7 +154,7 @@ def write_meshes(
     """
     mesh, name = body.mesh, f"part_{part}"
     some = [] if mesh.colours is None else looks(mesh)
-    visuals, files = (_apart if apart else _together)(name, mesh, some)
+    visuals, files = (_a_file_each if apart else _in_one_file)(name, mesh, some)
     collisions = [f"{name}_convex_{k}" for k in range(len(body.hulls))]
     for file, hull in zip(collisions, body.hulls, strict=True):
         files[f"{file}.obj"] = obj_text([(hull.vertices, hull.faces)]).encode()
@@ -166,7 +166,7 @@ def write_meshes(
 _Seen = tuple[dict[str, Look | None], dict[str, bytes]]
 
 
-def _apart(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
+def _a_file_each(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
     """Return what is seen of a mesh, a name a look, and the files of it."""
     if not some:
         return {name: None}, {f"{name}.obj": _obj(mesh.vertices, {"": (mesh.faces, None)})}
@@ -183,7 +183,7 @@ def _apart(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
     return dict(zip(names, shown, strict=True)), files
 
 
-def _together(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
+def _in_one_file(name: str, mesh: Mesh, some: Sequence[Look]) -> _Seen:
     """Return the one name of what is seen of a mesh, and its files."""
     pictures = {look.colour[1:]: picture_of(look) for look in some}
     if len(some) < 2 and not any(pictures.values()):

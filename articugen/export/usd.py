@@ -45,24 +45,24 @@ def _write(item: Item, target: Files) -> None:
     with tempfile.TemporaryDirectory() as aside:  # a stage has no other way to bytes
         path = Path(aside) / "object.usdc"
         parts = bodies(item, target)
-        _fill(path, name, item, parts)
+        shown = [looks(body.mesh, part) for part, body in enumerate(parts)]
+        _fill(path, name, item, parts, shown)
         target.write(f"{item.key}/usd/{file}", path.read_bytes())
-    drawn = [
-        (body, look, _picture_name(part, k, look))
-        for part, body in enumerate(parts)
-        for k, look in enumerate(looks(body.mesh, part))
-    ]
-    for _, look, place in drawn:
-        if place:
-            target.write(f"{item.key}/usd/{place}", picture_of(look))
-    faces = [body.unit_mesh.triangles[look.faces] for body, look, _ in drawn]
+    for part, some in enumerate(shown):
+        for k, look in enumerate(some):
+            if place := _picture_name(part, k, look):
+                target.write(f"{item.key}/usd/{place}", picture_of(look))
+    drawn = [(body, look) for body, some in zip(parts, shown, strict=True) for look in some]
+    faces = [body.unit_mesh.triangles[look.faces] for body, look in drawn]
     group = np.repeat(np.arange(len(faces)), list(map(len, faces)))
-    colours = [look.colour for _, look, _ in drawn]
+    colours = [look.colour for _, look in drawn]
     picture = parts_portrait(np.concatenate(faces), group, 256, colours)
     target.write(f"{item.key}/usd/.thumbs/256x256/{file}.png", png(picture))
 
 
-def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:
+def _fill(
+    path: Path, name: str, item: Item, parts: tuple[Body, ...], shown: Sequence[Sequence[Look]]
+) -> None:
     Usd, UsdGeom, UsdPhysics = _pxr("Usd", "UsdGeom", "UsdPhysics")
 
     stage = Usd.Stage.CreateNew(str(path))
@@ -78,7 +78,7 @@ def _fill(path: Path, name: str, item: Item, parts: tuple[Body, ...]) -> None:
     _add_label(root.GetPrim(), "class", facts["category"])
     _add_label(root.GetPrim(), "wikidata_qcode", facts["qcode"])
     for part, body in enumerate(parts):
-        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body)
+        _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, shown[part])
     fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
     fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
     ours = ["Looks", fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
@@ -123,7 +123,7 @@ def _identifier(name: str) -> str:
     return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
-def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
+def _add_body(stage: Any, path: str, part: int, body: Body, shown: Sequence[Look]) -> None:
     Gf, UsdGeom, UsdPhysics = _pxr("Gf", "UsdGeom", "UsdPhysics")
 
     xform = UsdGeom.Xform.Define(stage, path)
@@ -141,7 +141,7 @@ def _add_body(stage: Any, path: str, part: int, body: Body) -> None:
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
-    _add_visual(prim, body.mesh, part, looks(body.mesh, part))
+    _add_visual(prim, body.mesh, part, shown)
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
         felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
