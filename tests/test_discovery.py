@@ -200,6 +200,57 @@ def test_with_normals_a_front_is_not_taken_for_the_back_wall() -> None:
         discover(clouds, normals=normals[:3])
 
 
+def plate(
+    low: Sequence[float], high: Sequence[float], outward: Sequence[float], count: int
+) -> tuple[Floats, Floats]:
+    """Points of a rectangle across an axis, and their normals."""
+    points = np.random.default_rng(4).uniform(low, high, (count, 3))
+    return points, np.broadcast_to(np.array(outward, float), points.shape)
+
+
+def board(size: Sequence[float], centre: Sequence[float]) -> tuple[Floats, Floats]:
+    """Points of a box, and their normals."""
+    points = sampled(size, centre, np.random.default_rng(6), 900)
+    side = (points - centre) / np.array(size)
+    return points, np.where(np.abs(side) > 0.499, np.sign(side), 0.0)
+
+
+def joined(pieces: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    points, normals = zip(*pieces, strict=True)
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def test_a_door_is_not_turned_into_the_side_of_the_cabinet() -> None:
+    """Turned inwards by 90 degrees its faces lie on those of a side as thick and as deep; of where
+    it is, a part is out of sight in some poses."""
+    walls = [board((0.4, 0.03, 0.5), (-0.2, y, 0.0)) for y in (-0.235, 0.235)]
+    walls += [board((0.4, 0.44, 0.03), (-0.2, 0.0, z)) for z in (-0.235, 0.235)]
+    leaf, turned = board((0.03, 0.4, 0.5), (0.015, -0.02, 0.0)), turn((0, 0, -1), (0.03, -0.22, 0))
+    states = np.array([0.0, 0.9, 0.4, 1.4, 0.2, 1.1])
+    shown = [leaf[0][:, 2] > (-0.1 if q > 1.0 else -1.0) for q in states]
+    moved = [
+        (apply(turned(q), leaf[0][seen]), leaf[1][seen] @ turned(q)[:3, :3].T)
+        for q, seen in zip(states, shown, strict=True)
+    ]
+    clouds, normals = zip(*(joined([*walls, one]) for one in moved), strict=True)
+    (joint,) = discover(clouds, normals=normals).joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert np.abs(joint.states - states).max() < 0.02
+
+
+@pytest.mark.parametrize("name", ["drawer_0018", "drawer_0125"])
+def test_what_a_drawer_hides_does_not_move(name: str) -> None:
+    """The board below a drawer is seen through the gap until the drawer's floor lies over it."""
+    few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}
+    keys = {"extends": "category", "sampling": few}
+    made = ag.Maker(ag.load("procedural", name), keys)[:9]
+    clouds = [one.instance.surface_points / 65535 - 0.5 for one in made]
+    found = discover(clouds, normals=[one.instance.surface_normals / 127 for one in made])
+    assert [joint.kind for joint in found.joints] == [JointKind.PRISMATIC] * 3
+    for joint in found.joints:
+        assert degrees_between(np.abs(joint.axis), (1, 0, 0)) < 2.0
+
+
 def test_where_joints_point_may_be_known() -> None:
     leaf = ((0.03, 0.44, 0.3), (0.05, 0.0, -0.08))
     states = np.array([0.0, 0.6, 1.2, 0.3, 0.9])[:, None]

@@ -21,11 +21,9 @@ _FEWEST_POINTS = 64
 _STAYS = 0.03  # of a pose's points, at least so many lie where pose 0 has matter
 _ACROSS = 0.008  # planes so near may be the same
 
-_COLUMNS, _FEW_IN_SIGHT = 32, 0.05  # see `_in_sight`
-
 _TELLING, _COMMON = 4, 0.55
 """Of the first many poses or more, what the second share of the others has at the same place is no
-news; of fewer, what was out of sight in pose 0."""
+news."""
 _NEAR = np.array([0.008, 0.05])
 
 
@@ -172,7 +170,8 @@ class Change:
         start: pose 0, likewise; `first`: the same in cells, without normals.
         chosen: (S,) the poses that are searched.
         poses: those, in cells; `targets`: what of them is where nothing stays.
-        gone: (S, n) what of pose 0 is not in them.
+        stays: what of pose 0 does not move, in cells.
+        gone: (S, n) what of pose 0 is not in them, nor behind what is.
         movers: (n,) what of pose 0 has moved, for all one can see.
     """
 
@@ -184,6 +183,7 @@ class Change:
     chosen: NDArray[np.intp]
     poses: Cells
     targets: Cells
+    stays: Cells
     gone: NDArray[np.bool_]
     movers: NDArray[np.bool_]
 
@@ -227,6 +227,9 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     surfaces = [clouds[k] if normals is not None else _surface(clouds[k], near) for k in chosen]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
+    if start.signed:  # what a face looks at closely hides it: a drawer's floor, the board below it
+        over = replace(start, normals=-start.normals)
+        gone &= ~searched.met(over, still(len(chosen)), near, gone)
     often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
     movers = often & (_share_about(points[0], often, near) > 0.5)
     if movers.sum() < max(12, 0.002 * len(movers)):
@@ -236,12 +239,8 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         )
     stays = Cells.of([start[~movers]], near)
     new = [_new(surface, stays, near) for surface in surfaces]
-    if len(new) < _TELLING:
-        telling = [shown[_in_sight(shown.points, points[0])] for shown in new]
-    else:
-        telling = _rare(new, searched, near)
-    targets = Cells.of(telling, near)
-    return Change(frame, others, near, start, first, chosen, searched, targets, gone, movers)
+    targets = Cells.of(new if len(new) < _TELLING else _rare(new, searched, near), near)
+    return Change(frame, others, near, start, first, chosen, searched, targets, stays, gone, movers)
 
 
 def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> NDArray[Any]:
@@ -331,26 +330,6 @@ def _new(surface: Surface, stays: Cells, near: float) -> Surface:
     """Return points of a pose that are where nothing stays, as most of those around them are."""
     far = ~stays.met(surface, still(1), near)[0]
     return surface[far & (_share_about(surface.points, far, near) > 0.4)]
-
-
-def _in_sight(points: Floats, cloud: Floats) -> NDArray[np.bool_]:
-    """Return (n,) whether points would be in sight of a viewer along an axis of the cloud, from
-    either side: what is new elsewhere may have been there all the time, behind a door or under a
-    lid. True of all where it would be of next to none."""
-    R, visible = _COLUMNS, np.zeros(len(points), bool)
-    for axis in range(3):
-        across = [other for other in range(3) if other != axis]
-        column, of = (
-            tuple(np.clip((some[:, across].T + 0.5) * R, 0, R - 1).astype(int))
-            for some in (cloud, points)
-        )
-        for sign in (1.0, -1.0):
-            depth = np.full((R, R), -np.inf)
-            np.maximum.at(depth, column, sign * cloud[:, axis])
-            for way in (0, 1):
-                depth = np.max([np.roll(depth, step, way) for step in (-1, 0, 1)], axis=0)
-            visible |= sign * points[:, axis] > depth[of]
-    return visible if visible.mean() > _FEW_IN_SIGHT else np.ones_like(visible)
 
 
 def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:

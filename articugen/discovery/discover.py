@@ -288,7 +288,8 @@ class _Found:
         wide = max(near, _WIDE)
         best = None
         for _ in range(3):
-            joint = replace(joint, states=states_of(joint, self.part[core], poses, near))
+            states = states_of(joint, self.part[core], poses, self.change.stays)
+            joint = replace(joint, states=states)
             for reach in (2.0 * wide, near):
                 joint = fitted(joint, self.part[core], poses, reach, 4, tilts=tilts)
             now = self._explained(joint, near)
@@ -387,7 +388,8 @@ def _told(
     part = _labels(diff, joints, surface)
     order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
     parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
-    complete = [_joint(diff, joint, of_part) for joint, of_part in parts]
+    fixed = Cells.of([surface[part == 0]], diff.near)
+    complete = [_joint(diff, joint, of_part, fixed) for joint, of_part in parts]
     number = np.zeros(len(joints) + 1, np.int64)
     number[1 + order] = 1 + np.arange(len(joints))
     return Discovery(tuple(complete), points, number[part])
@@ -426,10 +428,10 @@ def _as_neighbours(
     return np.where(votes.sum(0) > 0, votes.argmax(0), label)
 
 
-def _joint(diff: Change, joint: Candidate, part: Surface) -> FoundJoint:
+def _joint(diff: Change, joint: Candidate, part: Surface, fixed: Cells) -> FoundJoint:
     """Return the joint in the clouds' frame, with the states of all poses."""
     core = part[some(np.arange(len(part)), 250)]
-    states = np.concatenate([[0.0], states_of(joint, core, diff.others, diff.near)])
+    states = np.concatenate([[0.0], states_of(joint, core, diff.others, fixed)])
     sign = -1.0 if states.mean() < 0.0 else 1.0
     gone = ~diff.poses.met(core, still(len(diff.chosen)), diff.near)
     new = diff.targets.met(core, motions(joint), diff.near)

@@ -18,6 +18,9 @@ STEPS = 160
 _FEW = {True: 80, False: 160}
 """Points of a part that say roughly where it may lie, with and without known normals."""
 
+_COMMON, _FIXED = 0.1, 0.5
+"""By these shares a surface counts less that is there in all poses, or is the fixed part's."""
+
 _PEAKS = 3  # of each pose so many states are made exact, before the best is taken
 
 
@@ -49,15 +52,22 @@ def fitted(
     return replace(joint, axis=axis, pivot=pivot, states=states)
 
 
-def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Floats:
+def states_of(joint: Candidate, part: Surface, cells: Cells, fixed: Cells) -> Floats:
     """Return (K,) the states at which a part lies on each of the poses in `cells`, searched one by
-    one over a whole turn or the cube's length, then made exact."""
+    one over a whole turn or the cube's length, then made exact. What is there in many poses, or is
+    the `fixed` part's, says less: a door turned the wrong way round lies on the cabinet's side."""
+    near = cells.near
     if joint.turns:
         steps = np.linspace(-np.pi, np.pi, STEPS, endpoint=False)
     else:
         steps = np.linspace(-1.0, 1.0, STEPS + 1)
     few = part[some(np.arange(len(part)), _FEW[part.signed])]
-    heights = cells.agreement(few, motions(joint, steps), 1.5 * near)
+    tried = motions(joint, steps)
+    heights = cells.agreement(few, tried, 1.5 * near)
+    doubt = _COMMON * heights.mean(0)
+    if joint.turns:
+        doubt += _FIXED * fixed.agreement(few, tried, 1.5 * near)[0]
+    heights -= doubt
     fits, fit = [], []
     for _ in range(_PEAKS):
         peak = heights.argmax(1)
@@ -65,9 +75,9 @@ def states_of(joint: Candidate, part: Surface, cells: Cells, near: float) -> Flo
         for reach in (2.0 * near, near):
             close = fitted(close, few, cells, reach, 4, states_alone=True)
         fits.append(close.states)
-        fit.append(cells.agreement(few, motions(close)[:, None], near)[:, 0])
+        fit.append(cells.agreement(few, motions(close)[:, None], near)[:, 0] - doubt[peak])
         for k, at in enumerate(peak):
-            heights[k, max(at - 2, 0) : at + 3] = -1.0
+            heights[k, max(at - 2, 0) : at + 3] = -np.inf
     best = replace(joint, states=np.choose(np.argmax(fit, axis=0), fits))
     return fitted(best, part, cells, near, 8, states_alone=True).states
 
