@@ -15,7 +15,7 @@ import articugen as ag
 from articugen.cli.discover import _summary, _table
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, rotation_about, transform
-from articugen.core.records import Floats, JointKind
+from articugen.core.records import Floats, JointKind, dequantize
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
 from articugen.discovery.objects import Judged, ObjectJoints, _judged, axes_apart, discover_all
 from articugen.store.rows import Row
@@ -200,24 +200,11 @@ def test_with_normals_a_front_is_not_taken_for_the_back_wall() -> None:
         discover(clouds, normals=normals[:3])
 
 
-def plate(
-    low: Sequence[float], high: Sequence[float], outward: Sequence[float], count: int
-) -> tuple[Floats, Floats]:
-    """Points of a rectangle across an axis, and their normals."""
-    points = np.random.default_rng(4).uniform(low, high, (count, 3))
-    return points, np.broadcast_to(np.array(outward, float), points.shape)
-
-
 def board(size: Sequence[float], centre: Sequence[float]) -> tuple[Floats, Floats]:
     """Points of a box, and their normals."""
     points = sampled(size, centre, np.random.default_rng(6), 900)
     side = (points - centre) / np.array(size)
     return points, np.where(np.abs(side) > 0.499, np.sign(side), 0.0)
-
-
-def joined(pieces: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    points, normals = zip(*pieces, strict=True)
-    return np.concatenate(points), np.concatenate(normals)
 
 
 def test_a_door_is_not_turned_into_the_side_of_the_cabinet() -> None:
@@ -232,7 +219,9 @@ def test_a_door_is_not_turned_into_the_side_of_the_cabinet() -> None:
         (apply(turned(q), leaf[0][seen]), leaf[1][seen] @ turned(q)[:3, :3].T)
         for q, seen in zip(states, shown, strict=True)
     ]
-    clouds, normals = zip(*(joined([*walls, one]) for one in moved), strict=True)
+    clouds, normals = (
+        [np.concatenate([*(wall[k] for wall in walls), one[k]]) for one in moved] for k in (0, 1)
+    )
     (joint,) = discover(clouds, normals=normals).joints
     assert joint.kind is JointKind.REVOLUTE
     assert np.abs(joint.states - states).max() < 0.02
@@ -244,7 +233,7 @@ def test_what_a_drawer_hides_does_not_move(name: str) -> None:
     few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}
     keys = {"extends": "category", "sampling": few}
     made = ag.Maker(ag.load("procedural", name), keys)[:9]
-    clouds = [one.instance.surface_points / 65535 - 0.5 for one in made]
+    clouds = [dequantize(one.instance.surface_points) for one in made]
     found = discover(clouds, normals=[one.instance.surface_normals / 127 for one in made])
     assert [joint.kind for joint in found.joints] == [JointKind.PRISMATIC] * 3
     for joint in found.joints:

@@ -227,7 +227,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     surfaces = [clouds[k] if normals is not None else _surface(clouds[k], near) for k in chosen]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
-    if start.signed:  # what a face looks at closely hides it: a drawer's floor, the board below it
+    if start.signed:  # a face closely opposite hides it: the floor of a drawer the board below
         over = replace(start, normals=-start.normals)
         gone &= ~searched.met(over, still(len(chosen)), near, gone)
     often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
