@@ -34,3 +34,23 @@ def test_an_index_of_modules_that_moved_is_dropped_where_the_file_is_newer(tmp_p
     else:  # as numba does by itself
         with pytest.raises(AssertionError, match="no_such_module"):
             printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own)
+
+
+def test_a_kernel_is_compiled_again_where_a_helpers_file_changed(tmp_path):
+    """What a helper says is a part of the kernel; numba asks for the date of the kernel's file."""
+    (tmp_path / "ours.py").write_text(
+        "from articugen.core.jit import kernel\nfrom parts import times\n\n\n"
+        "@kernel\ndef many(x):\n    return times(x)\n"
+    )
+    helper = tmp_path / "parts.py"
+    own = {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    for hours, factor in ((0, 2), (1, 3)):
+        helper.write_text(
+            "from articugen.core.jit import helper\n\n\n"
+            f"@helper\ndef times(x):\n    return {factor} * x\n"
+        )
+        later = helper.stat().st_mtime + 3600 * hours
+        os.utime(helper, (later, later))
+        command = ("-c", "import ours; print(ours.many(7))")
+        said = printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own)
+        assert said.split() == [str(7 * factor)]

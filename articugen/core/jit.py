@@ -15,7 +15,7 @@ In kernels a vector is a tuple of three numbers, which costs nothing to hand on.
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from types import CodeType
+from types import FunctionType
 from typing import Any
 
 from numba import njit
@@ -36,18 +36,31 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
         compiled = _njit(cache=True, **_OPTIONS, **options)(function)
     except RuntimeError:  # neither this folder nor the user's cache can be written to
         return _njit(**_OPTIONS, **options)(function)
-    _drop_stale(function.__code__, Path(compiled.stats.cache_path))
+    _drop_stale(function, Path(compiled.stats.cache_path))
     return compiled
 
 
-def _drop_stale(code: CodeType, folder: Path) -> None:
-    """Remove numba's index of a kernel whose file changed: it is read before its date is."""
-    source = Path(code.co_filename)
+def _drop_stale(function: FunctionType, folder: Path) -> None:
+    """Remove numba's index of a kernel whose file changed, or that of a helper which is a part of
+    it: numba checks the kernel's alone, and when it has read the index."""
+    code, parts = function.__code__, set[FunctionType]()
+    _add_parts(function, parts)
     with suppress(OSError):
-        changed = source.stat().st_mtime_ns
-        for index in folder.glob(f"{source.stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"):
+        changed = max(Path(part.__code__.co_filename).stat().st_mtime_ns for part in parts)
+        source = Path(code.co_filename).stem
+        for index in folder.glob(f"{source}.{code.co_name}-{code.co_firstlineno}.*.nbi"):
             if index.stat().st_mtime_ns < changed:
                 index.unlink(missing_ok=True)
+
+
+def _add_parts(function: FunctionType, parts: set[FunctionType]) -> None:
+    """Add a function, and all that it calls by a global name."""
+    parts.add(function)
+    for name in function.__code__.co_names:
+        called = function.__globals__.get(name)
+        called = getattr(called, "py_func", called)
+        if isinstance(called, FunctionType) and called not in parts:
+            _add_parts(called, parts)
 
 
 @helper
