@@ -61,6 +61,19 @@ def test_nearest_is_the_nearest_whatever_is_guessed(seed: int, reach: float) -> 
                 assert at == np.flatnonzero((cells.points == cells.points[at]).all(1))[-1]
 
 
+def test_surfaces_at_right_angles_are_not_alike() -> None:
+    """Of exact normals, which are those of furniture, the product is exactly 0, as with no normal;
+    what has none may be of any surface."""
+    for facing, is_alike in (([0.0, 1.0, 0.0], False), ([1.0, 0.0, 0.0], True), ([0.0] * 3, True)):
+        cells = Cells.of([Surface.bare(np.full((1, 3), 0.1), np.array([facing]))], NEAR)
+        for normal, found in (([1.0, 0.0, 0.0], is_alike), ([0.0] * 3, True)):
+            at, _ = kernels.nearest(
+                cells.points, cells.normals, True, cells.starts, 0, 0.1, 0.1, 0.1, *normal,
+                REACH, NEAR, -1,
+            )  # fmt: skip
+            assert (at == 0) == found
+
+
 def _rounds_by_hand(joint: Candidate, part: Surface, clouds: list[Floats]) -> Candidate:
     """One round of Gauss and Newton's method, with gradients by differences."""
     across = plane_across(joint.axis)
@@ -141,10 +154,10 @@ def test_what_is_held_stays() -> None:
 
 AHEAD = """
 from numba.core.dispatcher import Dispatcher
-from articugen.discovery import discover, gauss_newton, groups, kernels, warm
+from articugen.discovery import discover, gauss_newton, groups, kernels, owner_kernels, warm
 warm.joints()
-rooms = map(vars, (gauss_newton, groups, kernels))
-some = [thing for room in rooms for thing in room.values() if isinstance(thing, Dispatcher)]
+rooms = map(vars, (gauss_newton, groups, kernels, owner_kernels))
+some = {thing for room in rooms for thing in room.values() if isinstance(thing, Dispatcher)}
 print(len(some), {len(kernel.signatures) for kernel in some})
 from test_discovery import LID, faces, np, posed, turn
 door = posed([(LID, turn((0, 0, 1), (0.05, -0.22, 0)))], [[0.0], [0.5], [1.0]])
@@ -159,4 +172,4 @@ def test_what_is_compiled_ahead_is_what_is_used() -> None:
     """Each kernel once: it would be compiled again for arrays of another layout."""
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     lines = printed("-c", AHEAD, PYTHONPATH=path).splitlines()
-    assert lines == ["14 {1}", "{1}"]
+    assert lines == ["17 {1}", "{1}"]

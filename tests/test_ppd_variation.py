@@ -20,6 +20,7 @@ from articugen.learning.ppd.kinematics import inverse_motion, rotation_from_z
 from articugen.learning.ppd.learner import PPDLearner
 from articugen.learning.ppd.network import rest_states
 from articugen.learning.ppd.settings import ModelSettings, PPDRecipe, VarySettings
+from articugen.learning.ppd.warm.found import Known, stored
 from articugen.learning.ppd.warm.targets import targets
 from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
 
@@ -27,7 +28,7 @@ MODEL = ModelSettings(part_boxes=True)
 R = len(MODEL.revolute)
 WILD = VarySettings(stretch=0.5, shrink=0.4, mirror=True, shift=True)
 SPEC = BatchSpec(
-    surface_points=128, uniform_points=256, near_points=64, poses=True, hidden=True, normals=True,
+    surface_points=128, uniform_points=256, near_points=64, poses=True, normals=True,
     chances=CHANCES,
 )  # fmt: skip
 
@@ -53,6 +54,7 @@ def aims(split, *joints):
     points = unpacked(split.surface[:1])[0].double().numpy()
     found = Discovery(joints, points, np.arange(len(points)) % (1 + len(joints)))
     rows = split.poses_of(split.object_id[0])
+    found = Known.of(found, stored(split, rows))
     return targets(split, [found], [rows], MODEL, mirrored=True)
 
 
@@ -188,8 +190,9 @@ def test_glasses_are_not_mirrored(split, lean, monkeypatch, tmp_path):
     left = joint(JointKind.REVOLUTE, (0.0, lean, 1.0), (0.1, -0.2, 0.0), 4.0)
     right = joint(JointKind.REVOLUTE, (0.0, -lean, -1.0), (0.1, 0.2, 0.0), 4.0)
     points = unpacked(split.surface[:1])[0].double().numpy()
-    glasses = Discovery((left, right), points, np.arange(len(points)) % 3)
     rows = [split.poses_of(split.object_id[0])]
+    glasses = Discovery((left, right), points, np.arange(len(points)) % 3)
+    glasses = Known.of(glasses, stored(split, rows[0]))
     monkeypatch.setattr(learner_module, "discovered", lambda *_: ([glasses], rows))
     recipe = load_recipe("ppd_quick")
     assert isinstance(recipe, PPDRecipe)

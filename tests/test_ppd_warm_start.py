@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from ppd_data import write_boxes
-from test_discovery import LID, posed, slide, turn
+from test_ownership import part_of
 
 from articugen.core.errors import UnfitData
 from articugen.core.records import JointKind
-from articugen.discovery import KINDS, Discovery, FoundJoint
+from articugen.discovery import Discovery, FoundJoint, Ownership
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.method import find_method, load_recipe
@@ -18,10 +18,14 @@ from articugen.learning.ppd.network import Prediction, amount_of, rest_states
 from articugen.learning.ppd.settings import ModelSettings, WarmStart, directions_of
 from articugen.learning.ppd.shape import PartBox
 from articugen.learning.ppd.warm import found as found_module
-from articugen.learning.ppd.warm.found import _Asked, _look, _looked_for, discovered, kinds_of
+from articugen.learning.ppd.warm.found import (
+    Known,
+    _Asked,
+    discovered,
+    stored,
+)
 from articugen.learning.ppd.warm.targets import (
     _from_closed,
-    _owned,
     assigned,
     is_one_sided,
     likely,
@@ -31,7 +35,7 @@ from articugen.learning.ppd.warm.terms import LEAST_SIZE, aim_terms, labels_entr
 from articugen.store.shards import open_shard
 
 MODEL = ModelSettings()
-SPEC = BatchSpec(surface_points=256, parts=True, poses=True, hidden=True, normals=True)
+SPEC = BatchSpec(surface_points=256, parts=True, poses=True, normals=True)
 WAYS = directions_of(MODEL)
 
 
@@ -120,7 +124,8 @@ def boxes(tmp_path_factory):
             np.array([row.joint_state[0] for row in rows]), 1.0,
         )  # fmt: skip
         part = np.minimum(first.surface_part.astype(int), 1)
-        true.append(Discovery((hinge,), first.surface_points / 65535 - 0.5, part))
+        one = Discovery((hinge,), first.surface_points / 65535 - 0.5, part)
+        true.append(Known.of(one, stored(split, split.poses_of(names[len(true)]))))
     return split, true, [split.poses_of(name) for name in names]
 
 
@@ -144,7 +149,8 @@ def test_batches_ask_for_owners_as_ownership_does(boxes):
     for each, mine in zip(true, rows, strict=True):
         taken = [(-1, 1.0), *assigned(each, MODEL)]
         motion = _from_closed(each, tuple(sense for _, sense in taken))
-        own = _owned(split, mine, motion)
+        clouds = list(unpacked(split.surface[mine]).double().numpy())
+        own = Ownership.of(clouds, each.owner, motion)
         back = np.linalg.inv(motion)
         slots = np.array([slot + 1 for slot, _ in taken])
         for k, row in enumerate(mine):
@@ -152,18 +158,16 @@ def test_batches_ask_for_owners_as_ownership_does(boxes):
             owner = aims.of(torch.tensor([row])).owner(points, torch.ones(1, points.shape[1]) > 0)
             cloud = points[0].double().numpy()
             rest = np.einsum("pij,nj->pni", back[k, :, :3, :3], cloud) + back[k, :, None, :3, 3]
-            same = owner[0].numpy() == slots[own.part_of(rest)]
+            same = owner[0].numpy() == slots[part_of(own, rest)]
             assert same.mean() > 0.999  # single precision decides at the faces of cells and boxes
 
 
 def test_poses_that_were_not_looked_at_have_no_targets(boxes):
     split, true, rows = boxes
-    some = [
-        Discovery(
-            tuple(replace(j, states=j.states[:5]) for j in each.joints), each.points, each.part
-        )
-        for each in true
-    ]
+    some = []
+    for each, mine in zip(true, rows, strict=True):
+        joints = tuple(replace(j, states=j.states[:5]) for j in each.joints)
+        some.append(Known.of(replace(each, joints=joints), stored(split, mine[:5])))
     aims = targets(split, some, [mine[:5] for mine in rows], MODEL)
     for mine in rows:
         assert aims.known[mine].tolist() == [1.0] * 5 + [0.0] * (len(mine) - 5)
@@ -197,7 +201,7 @@ def test_it_does_not_matter_which_pose_is_looked_at_first(boxes):
         order = np.argsort(-each.joints[0].states)  # wide open first
         states = each.joints[0].states[order]
         joint = replace(each.joints[0], states=states - states[0])
-        turned.append(Discovery((joint,), each.points, each.part))
+        turned.append(Known.of(replace(each, joints=(joint,)), stored(split, mine[order])))
         others.append(mine[order])
     found = targets(split, turned, others, MODEL)
     for name in ("state", "rotation", "offset"):
@@ -317,11 +321,10 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         discovered(split, tmp_path, WAYS, kill)
-    clouds = [
-        (split.surface[rows].numpy(), split.normals[rows].numpy())
-        for rows in map(split.poses_of, dict.fromkeys(split.object_id.tolist()))
+    every = [
+        stored(split, split.poses_of(name)) for name in dict.fromkeys(split.object_id.tolist())
     ]
-    kept, missing = (_Asked(cloud, KINDS, WAYS, tmp_path / "joints").path for cloud in clouds)
+    kept, missing = (_Asked(poses, WAYS, tmp_path / "joints").path for poses in every)
     before = kept.stat().st_mtime_ns
     missing.write_bytes(b"lost with the power")
     sentences = []
@@ -337,31 +340,11 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
         assert (one is None) == (other is None)
         if one and other:
             np.testing.assert_array_equal(one.part, other.part)
+            np.testing.assert_array_equal(one.owner, other.owner)
             for a, b in zip(one.joints, other.joints, strict=True):
                 np.testing.assert_array_equal(a.states, b.states)
                 assert a.kind == b.kind
     discovered(split.of(split.object_id[:1]), tmp_path, WAYS)  # nor in a smaller set
-
-
-def test_who_is_unlike_the_others_is_looked_at_again(tmp_path):
-    """Among cabinets with a drawer one with a door: it has slides then, or nothing is known."""
-    drawer = (((0.06, 0.46, 0.3), (0.04, 0.0, 0.0)), slide((1.0, 0, 0)))
-    door = (LID, turn((0, 0, 1), (0.05, -0.22, 0)))
-    states = np.array([0.0, 0.3, 0.1, 0.2])
-    clouds = []
-    for k, (part, far) in enumerate([(drawer, 1.0)] * 4 + [(door, 4.0)]):
-        poses = np.array(posed([part], far * (1.0 + 0.1 * k) * states[:, None]))
-        stored = np.round((0.5 * poses + 0.5) * 65535).astype(np.uint16)
-        unknown = np.zeros(stored.shape, np.int8)
-        clouds.append((stored.view(np.int16), unknown))
-    said = []
-    found = _looked_for(clouds, WAYS, tmp_path, said.append)
-    first, last = (_look(_Asked(clouds[i], KINDS, WAYS, tmp_path)) for i in (0, 4))
-    assert kinds_of(found) == {JointKind.PRISMATIC}
-    np.testing.assert_array_equal(found[0].part, first.part)
-    assert JointKind.REVOLUTE in {joint.kind for joint in last.joints}
-    assert found[4] is None or {joint.kind for joint in found[4].joints} == {JointKind.PRISMATIC}
-    assert said[-1] == "looking again where they are unlike the others: 1 of 1"
 
 
 def test_where_nothing_moves_one_sentence_says_so(boxes, tmp_path):

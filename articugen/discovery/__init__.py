@@ -2,7 +2,7 @@
 share, from one pose of each; without labels."""
 
 from articugen.discovery.discover import KINDS, LEAN, Directions, Discovery, FoundJoint, discover
-from articugen.discovery.ownership import Ownership, assign_material
+from articugen.discovery.ownership import Ownership, parts_of_surface
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
 
 __all__ = [
@@ -14,7 +14,7 @@ __all__ = [
     "FoundJoint",
     "Ownership",
     "SharedJoint",
-    "assign_material",
     "discover",
     "discover_shared",
+    "parts_of_surface",
 ]

@@ -18,7 +18,7 @@ STEPS = 160
 _FEW = {True: 80, False: 160}
 """Points of a part that say roughly where it may lie, with and without known normals."""
 
-_COMMON, _FIXED = 0.1, 0.5
+_COMMON, _FIXED = 0.2, 0.5
 """By these shares a surface counts less that is there in all poses, or is the fixed part's."""
 
 _PEAKS = 3  # of each pose so many states are made exact, before the best is taken

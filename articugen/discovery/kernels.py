@@ -28,14 +28,14 @@ LIKE = 0.85  # cosine between the normals of two points that may be of one surfa
 
 
 @helper
-def _span(x, reach):
+def span(x, reach):
     """Return the cells along an edge that come within `reach` of x."""
     first = max(int(np.floor((x - reach + 0.5) * CELLS)), 0)
     return range(first, min(int(np.floor((x + reach + 0.5) * CELLS)), CELLS - 1) + 1)
 
 
 @helper
-def _row(starts, pose, i, j, z, reach):
+def row(starts, pose, i, j, z, reach):
     """Return the points of a pose in the cells (i, j, k) that come within `reach` of z."""
     first = min(max(int(np.floor((z - reach + 0.5) * CELLS)), 0), CELLS)
     last = min(int(np.floor((z + reach + 0.5) * CELLS)), CELLS - 1)
@@ -78,14 +78,18 @@ def is_void(within, pose, x, y, z):
 
 
 @helper
-def _is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
+def is_alike(normals, signed, n, dx, dy, dz, nx, ny, nz, across):
     """Return whether point n, so far from another one, may be of the same surface as that: no more
     than `across` from plane to plane. A normal of zeros says nothing; `signed` ones point out of
     the material, others either way."""
     if abs(dx * nx + dy * ny + dz * nz) > across:
         return False
-    along = normals[n, 0] * nx + normals[n, 1] * ny + normals[n, 2] * nz
-    return abs(along) <= 1e-9 or (along if signed else abs(along)) >= LIKE
+    mx, my, mz = normals[n, 0], normals[n, 1], normals[n, 2]
+    along = mx * nx + my * ny + mz * nz
+    if (along if signed else abs(along)) >= LIKE:
+        return True
+    is_bare = mx == 0.0 and my == 0.0 and mz == 0.0
+    return is_bare or (nx == 0.0 and ny == 0.0 and nz == 0.0)
 
 
 @helper
@@ -106,21 +110,21 @@ def nearest(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, a
         g = np.uintp(guess)
         dx, dy, dz = points[g, 0] - x, points[g, 1] - y, points[g, 2] - z
         d = dx * dx + dy * dy + dz * dz
-        if d <= best and _is_alike(normals, signed, g, dx, dy, dz, nx, ny, nz, across):
+        if d <= best and is_alike(normals, signed, g, dx, dy, dz, nx, ny, nz, across):
             best, at = d, guess
     wide = np.sqrt(best) + HAIR
-    for i in _span(x, wide):
+    for i in span(x, wide):
         beyond = _beyond(x, i)
         if beyond > best:
             continue
-        for j in _span(y, wide):
+        for j in span(y, wide):
             if beyond + _beyond(y, j) > best:
                 continue
-            for m in _row(starts, pose, i, j, z, wide):
+            for m in row(starts, pose, i, j, z, wide):
                 n = np.uintp(m)
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                 d = dx * dx + dy * dy + dz * dz
-                if (d < best or (d == best and m > at)) and _is_alike(
+                if (d < best or (d == best and m > at)) and is_alike(
                     normals, signed, n, dx, dy, dz, nx, ny, nz, across
                 ):
                     best, at = d, m
@@ -149,14 +153,14 @@ def distances(
 
 
 @helper
-def _meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
+def meets(points, normals, signed, starts, pose, x, y, z, nx, ny, nz, reach, across):
     """Return whether `nearest` would find a point."""
-    for i in _span(x, reach):
-        for j in _span(y, reach):
-            for m in _row(starts, pose, i, j, z, reach):
+    for i in span(x, reach):
+        for j in span(y, reach):
+            for m in row(starts, pose, i, j, z, reach):
                 n = np.uintp(m)
                 dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
-                if dx * dx + dy * dy + dz * dz <= reach * reach and _is_alike(
+                if dx * dx + dy * dy + dz * dz <= reach * reach and is_alike(
                     normals, signed, n, dx, dy, dz, nx, ny, nz, across
                 ):
                     return True
@@ -177,7 +181,7 @@ def met(
                 continue
             x, y, z, nx, ny, nz = moved(motions[k], queries[i], query_normals[i])
             if not is_void(within, k, x, y, z):
-                out[k, i] = _meets(
+                out[k, i] = meets(
                     points, normals, signed, starts, k, x, y, z, nx, ny, nz, reach, across
                 )
     return out
@@ -190,9 +194,9 @@ def about(queries, values, points, starts, reach, skip_self):
     out = np.zeros((len(queries), 2))
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
-        for a in _span(x, reach):
-            for b in _span(y, reach):
-                for n in _row(starts, 0, a, b, z, reach):
+        for a in span(x, reach):
+            for b in span(y, reach):
+                for n in row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if d <= reach * reach and not (skip_self and d == 0.0):
@@ -209,45 +213,15 @@ def spacing(queries, points, starts, reach):
     for i in range(len(queries)):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
         best = reach * reach
-        for a in _span(x, reach):
-            for b in _span(y, reach):
-                for n in _row(starts, 0, a, b, z, reach):
+        for a in span(x, reach):
+            for b in span(y, reach):
+                for n in row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     d = dx * dx + dy * dy + dz * dz
                     if 0.0 < d < best:
                         best = d
         out[i] = np.sqrt(best)
     return out
-
-
-@kernel
-def to_nothing(rest, motions, taken, points, starts, reach):
-    """Return (n,) in which share of the poses a point, moved by `motions` (K, 3, 4), comes to a
-    voxel of `taken` (K, R, R, R) that is 0, with no point of the pose within `reach`."""
-    R = taken.shape[1]
-    out = np.zeros(len(rest))
-    for k in range(len(motions)):
-        M = motions[k]
-        for i in range(len(rest)):
-            x, y, z, _, _, _ = moved(M, rest[i], rest[i])
-            a = min(max(int(np.floor((x + 0.5) * R)), 0), R - 1)
-            b = min(max(int(np.floor((y + 0.5) * R)), 0), R - 1)
-            c = min(max(int(np.floor((z + 0.5) * R)), 0), R - 1)
-            if not taken[k, a, b, c] and not _is_near(points, starts, k, x, y, z, reach):
-                out[i] += 1.0
-    return out / len(motions)
-
-
-@helper
-def _is_near(points, starts, pose, x, y, z, reach):
-    """Return whether the pose has a point within `reach` of (x, y, z)."""
-    for i in _span(x, reach):
-        for j in _span(y, reach):
-            for n in _row(starts, pose, i, j, z, reach):
-                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
-                if dx * dx + dy * dy + dz * dz <= reach * reach:
-                    return True
-    return False
 
 
 @helper
@@ -304,9 +278,9 @@ def shapes(queries, points, starts, reach):
         x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
         C[:] = 0.0
         sx = sy = sz = count = 0.0
-        for a in _span(x, reach):
-            for b in _span(y, reach):
-                for n in _row(starts, 0, a, b, z, reach):
+        for a in span(x, reach):
+            for b in span(y, reach):
+                for n in row(starts, 0, a, b, z, reach):
                     dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
                     if dx * dx + dy * dy + dz * dz > reach * reach:
                         continue

@@ -6,7 +6,7 @@ from articugen.core.arrays import Floats
 from articugen.core.records import JointKind
 from articugen.discovery.discover import discover
 from articugen.discovery.groups import group_instances
-from articugen.discovery.ownership import assign_material
+from articugen.discovery.ownership import Ownership, parts_of_surface
 
 
 def joints() -> None:
@@ -17,7 +17,8 @@ def joints() -> None:
     group_instances([(pose, facing) for pose in poses])
     discover(poses, normals=[facing] * 2, kinds=[JointKind.PRISMATIC])
     motion = np.tile(np.eye(4), (2, 2, 1, 1))
-    assign_material(poses, np.zeros((2, 4, 4, 4), np.bool_), motion)
+    part = parts_of_surface(poses, [facing] * 2, motion)
+    Ownership.of(poses, part, motion)
 
 
 def _sheet(across: Floats, middle: Floats) -> Floats:

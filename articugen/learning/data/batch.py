@@ -22,7 +22,6 @@ class BatchSpec:
         poses: whether several poses of each object are compared; for `varying_points` they are.
         groups: which instances show one object, where that is used: `found` in their clouds, or
             `given` by the data set.
-        hidden: whether it is wanted which voxels of the finest grid are not free.
         normals: whether the normals of surface points are wanted, for `Learner.begin`.
         sides: whether they are, of the cloud, for `Batch.normals`.
         motions: whether it is wanted how the true parts have moved, for `Batch.rest` and `joints`.
@@ -42,7 +41,6 @@ class BatchSpec:
     joints: tuple[int, int] | None = None
     poses: bool = False
     groups: Literal["found", "given"] = "given"
-    hidden: bool = False
     normals: bool = False
     sides: bool = False
     motions: bool = False

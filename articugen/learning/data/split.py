@@ -50,8 +50,6 @@ class PackedSplit:
             batch holds them.
         grids: (I, R^3) labels by resolution, above 0 where the recipe calls it occupied.
         uniform, near: ((I, K, 3) coordinates, (I, K) such labels).
-        hidden: (I, R^3 / 8) one bit for each voxel of the finest grid, 0 where it is free, whatever
-            the recipe calls occupied; R is `band.resolution`. (I, 0) unless asked for.
         band, varying: voxels around this pose's material, and those that differ between poses.
         partial: (I, C, M, 3) what each of C depth cameras sees; C = 0 unless asked for.
         motion: (I, P, 4, 4) float32 of each part from the canonical pose; (I, 0, 4, 4) unless asked
@@ -67,7 +65,6 @@ class PackedSplit:
     grids: dict[int, Tensor]
     uniform: tuple[Tensor, Tensor]
     near: tuple[Tensor, Tensor]
-    hidden: Tensor
     band: LabelledCells
     varying: LabelledCells
     partial: Tensor
@@ -100,7 +97,7 @@ class PackedSplit:
     def for_batches(self, spec: BatchSpec) -> "PackedSplit":
         """Without what such batches do not hold, and `Learner.begin` alone examines."""
         normals = self.normals if spec.sides else self.normals[:, :0].clone()
-        return replace(self, normals=normals, hidden=self.hidden[:, :0].clone())
+        return replace(self, normals=normals)
 
     def to(self, device: torch.device) -> "PackedSplit":
         """Return the same in the memory of a device."""
@@ -262,7 +259,7 @@ def packed(
     """Pack all instances of shards, each of which is opened when it is read; `where` they are is
     named in errors, which are those of `load_split`."""
     wanted = sorted(set(resolutions))
-    is_fine = spec.band_points or spec.varying_points or spec.hidden
+    is_fine = spec.band_points or spec.varying_points
     finest = finest_grid(shards[0]) if is_fine else 0
     objects = found_objects(shards, where) if spec.finds_objects else [None] * len(shards)
     read = [
@@ -286,7 +283,6 @@ def packed(
         {r: _tensor(joined[name]).flatten(1) for r, name in grids.items()},
         (_tensor(joined["uniform_points"]), _tensor(joined["uniform_label"])),
         (_tensor(joined["near_points"]), _tensor(joined["near_label"])),
-        _tensor(joined["hidden"]),
         LabelledCells(finest, _tensor(joined["band"]), _tensor(joined["band_count"])),
         LabelledCells(finest, _tensor(joined["varying"]), _tensor(joined["varying_count"])),
         _tensor(joined["partial_points"]),
@@ -373,10 +369,6 @@ def _read(
         names = ids if objects is None else objects
         grids = {r: _grid(shard, r, ids, row["surface_points"], spec) for r in every}
         row |= {f"occupancy_{r}": grids[r] for r in resolutions}
-        row["hidden"] = np.zeros((len(names), 0), np.uint8)
-        if spec.hidden:
-            raw = shard.read(f"occupancy_{finest}").reshape(len(names), -1)
-            row["hidden"] = np.packbits(raw != FREE, axis=1)
         chosen = cells_of(names, row["state_index"], grids.get(finest), spec, shard.path)
         return {"object_id": names, **row, **chosen}
 

@@ -118,7 +118,6 @@ class PPDLearner(Predictor):
             joints=(len(settings.model.revolute), len(settings.model.prismatic)),
             poses=settings.warm_start.share > 0,
             groups=settings.warm_start.groups,
-            hidden=settings.warm_start.share > 0,
             normals=settings.warm_start.share > 0,
             sides=settings.model.local_points > 0,
             chances=CHANCES if settings.vary else 0,

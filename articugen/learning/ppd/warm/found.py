@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,13 +18,20 @@ from articugen.core.errors import InvalidArgument, InvalidCheckpoint, UnfitData
 from articugen.core.files import make_folder
 from articugen.core.processes import Crew
 from articugen.core.records import JointKind, dequantize
-from articugen.discovery import KINDS, Directions, Discovery, FoundJoint, discover
+from articugen.discovery import (
+    KINDS,
+    Directions,
+    Discovery,
+    FoundJoint,
+    discover,
+    parts_of_surface,
+)
 from articugen.learning.sealed import read_arrays, write_arrays
 
 if TYPE_CHECKING:  # imports torch, which workers that look for joints have no use for
     from articugen.learning.data.split import PackedSplit
 
-FORMAT = "articugen joints 7"
+FORMAT = "articugen joints 8"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 FOLDER = "joints"
@@ -40,13 +48,29 @@ FEW_OBJECTS = 0.25
 
 _JOINT = ("kind", "axis", "pivot", "states", "score")
 
-Found = list[Discovery | None]
-"""Discovery of each object; None where there is none."""
+
+Stored = tuple[NDArray[np.int16], NDArray[np.int8]]
+"""An object's poses as they are stored: points and normals (K, n, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known(Discovery):
+    """Joints and parts of a training object; `owner` (n,) are those of the points of all poses that
+    `ownership.examined` returns."""
+
+    owner: NDArray[np.uint8]
+
+    @staticmethod
+    def of(discovery: Discovery, poses: Stored) -> Known:
+        motion = np.stack([discovery.motion(k) for k in range(len(poses[0]))])
+        owner = parts_of_surface(list(_points(poses)), list(poses[1] / 127.0), motion)
+        return Known(discovery.joints, discovery.points, discovery.part, owner)
+
+
+Found = list[Known | None]
+"""What is known of each object; None where nothing is."""
 
 Notify = Callable[[str], None]
-
-_Clouds = tuple[NDArray[np.int16], NDArray[np.int8]]
-"""An object's poses as they are stored: points and normals (K, n, 3)."""
 
 
 def discovered(
@@ -67,19 +91,21 @@ def discovered(
     """
     names = list(dict.fromkeys(training.object_id.tolist()))
     rows = [training.poses_of(name)[:MOST_POSES] for name in names]
-    clouds = [
-        (training.surface[some].cpu().numpy(), training.normals[some].cpu().numpy())
-        for some in rows
-    ]
+    poses = [stored(training, some) for some in rows]
     folder = beside / FOLDER
     make_folder(folder)
-    discoveries = _looked_for(clouds, directions, folder, notify)
+    discoveries = _looked_for(poses, directions, folder, notify)
     if not any(discoveries):
         raise UnfitData(
             f"{beside}: in no training object do the poses show what moves; make the data set "
             "with more states, or set warm_start.share=0"
         )
     return discoveries, rows
+
+
+def stored(split: PackedSplit, rows: NDArray[np.intp]) -> Stored:
+    """Return the poses `rows` of an object."""
+    return split.surface[rows].cpu().numpy(), split.normals[rows].cpu().numpy()
 
 
 def kinds_of(discoveries: Found) -> set[JointKind]:
@@ -93,11 +119,9 @@ def kinds_of(discoveries: Found) -> set[JointKind]:
 
 
 class _Asked(NamedTuple):
-    """The poses of an object; the kinds of joints to look for, and where those point; the folder
-    for what is found."""
+    """The poses of an object, where joints of each kind point, and the folder for what is found."""
 
-    poses: _Clouds
-    kinds: tuple[JointKind, ...]
+    poses: Stored
     directions: Directions
     folder: Path
 
@@ -105,78 +129,62 @@ class _Asked(NamedTuple):
     def path(self) -> Path:
         """The file for what is found, named after what is searched."""
         axes = {str(kind): some.tolist() for kind, some in sorted(self.directions.items())}
-        points, normals = self.poses
-        hashed = hashlib.sha256(json.dumps([axes, self.kinds, points.shape]).encode())
-        hashed.update(points.tobytes() + normals.tobytes())
+        hashed = hashlib.sha256(json.dumps([axes, self.poses[0].shape]).encode())
+        hashed.update(self.poses[0].tobytes() + self.poses[1].tobytes())
         return self.folder / f"{hashed.hexdigest()[:32]}.safetensors"
 
 
 def _looked_for(
-    clouds: Sequence[_Clouds], directions: Directions, folder: Path, notify: Notify
+    objects: Sequence[Stored], directions: Directions, folder: Path, notify: Notify
 ) -> Found:
-    """Return what is found in each object; the search is repeated where it finds nothing, or a kind
-    of joint that few others have: a drawer that is shallow may as well turn a little."""
-    outcomes: Found = [None] * len(clouds)
-
-    def search(objects: Sequence[int], kinds: tuple[JointKind, ...], what: str) -> None:
-        missing = {}
-        for i in objects:
-            task = _Asked(clouds[i], kinds, directions, folder)
-            try:
-                outcomes[i] = _read(read_arrays(task.path, FORMAT)["object"], clouds[i])
-            except InvalidCheckpoint:  # not there, or of a disk that lost power
-                missing[i] = task
-        if not missing:
-            return
-        done = len(objects) - len(missing)
-        with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
-            looks = crew.in_order([*missing.values()])
-            for count, (i, one) in enumerate(zip(missing, looks, strict=True), done + 1):
-                outcomes[i] = one
-                notify(f"{what}: {count} of {len(objects)}")
-
-    search(range(len(clouds)), KINDS, "looking for joints in the training objects")
-    kinds = kinds_of(outcomes)
-    if 0 < len(kinds) < len(KINDS):
-        unlike = [
-            i
-            for i, one in enumerate(outcomes)
-            if not one or {joint.kind for joint in one.joints} - kinds
-        ]
-        search(unlike, tuple(sorted(kinds)), "looking again where they are unlike the others")
+    """Return what is found in each object."""
+    outcomes: Found = [None] * len(objects)
+    missing = {}
+    for i, poses in enumerate(objects):
+        task = _Asked(poses, directions, folder)
+        try:
+            outcomes[i] = _read(read_arrays(task.path, FORMAT)["object"], poses)
+        except InvalidCheckpoint:  # not there, or of a disk that lost power
+            missing[i] = task
+    with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
+        looks = crew.in_order([*missing.values()])
+        before = len(objects) - len(missing)
+        for count, (i, one) in enumerate(zip(missing, looks, strict=True), before + 1):
+            outcomes[i] = one
+            notify(f"looking for joints in the training objects: {count} of {len(objects)}")
     return outcomes
 
 
-def _look(task: _Asked) -> Discovery | None:
+def _look(task: _Asked) -> Known | None:
     """Return what is found in an object, and keep it."""
-    points, normals = list(_points(task.poses)), list(task.poses[1] / 127.0)
-    outcome = None
+    points, normals, outcome = _points(task.poses), task.poses[1] / 127.0, None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
-        outcome = discover(points, normals=normals, kinds=task.kinds, directions=task.directions)
-    if outcome and not (outcome.joints and min(j.score for j in outcome.joints) >= LEAST_SCORE):
-        outcome = None
-    write_arrays(task.path, {"object": _plain(outcome)}, FORMAT)
-    return outcome
+        outcome = discover(list(points), normals=list(normals), directions=task.directions)
+    known = None
+    if outcome and outcome.joints and min(j.score for j in outcome.joints) >= LEAST_SCORE:
+        known = Known.of(outcome, task.poses)
+    write_arrays(task.path, {"object": _plain(known)}, FORMAT)
+    return known
 
 
-def _points(poses: _Clouds) -> NDArray[np.float64]:
+def _points(poses: Stored) -> NDArray[np.float64]:
     """Return (K, n, 3) the points, in the unit frame."""
     return dequantize(poses[0].view(np.uint16))
 
 
-def _plain(discovery: Discovery | None) -> dict[str, Any]:
-    """Return a discovery as `write_arrays` takes it."""
-    if discovery is None:
+def _plain(known: Known | None) -> dict[str, Any]:
+    """Return what is known of an object as `write_arrays` takes it."""
+    if known is None:
         return {}
-    columns = {n: np.array([getattr(joint, n) for joint in discovery.joints]) for n in _JOINT}
-    return {**columns, "part": discovery.part.astype(np.uint8)}
+    columns = {n: np.array([getattr(joint, n) for joint in known.joints]) for n in _JOINT}
+    return {**columns, "part": known.part.astype(np.uint8), "owner": known.owner}
 
 
-def _read(kept: dict[str, Any], poses: _Clouds) -> Discovery | None:
+def _read(kept: dict[str, Any], poses: Stored) -> Known | None:
     if not kept:
         return None
     joints = tuple(
         FoundJoint(JointKind(int(kind)), axis, pivot, states, float(score))
         for kind, axis, pivot, states, score in zip(*(kept[name] for name in _JOINT), strict=True)
     )
-    return Discovery(joints, _points(poses)[0], kept["part"].astype(np.int64))
+    return Known(joints, _points(poses)[0], kept["part"].astype(np.int64), kept["owner"])

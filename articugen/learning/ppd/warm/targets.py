@@ -20,8 +20,8 @@ from torch import Tensor
 
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats, JointKind
-from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership, assign_material
-from articugen.discovery.ownership import CLEARLY, MOST_DOUBT, RARELY, RIM
+from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership
+from articugen.discovery.ownership import CELLS
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.ppd.network import rest_states, widest
 from articugen.learning.ppd.settings import ModelSettings, directions_of
@@ -46,9 +46,9 @@ degrees."""
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Targets of the instances of a split. I instances, P parts, J = P - 1 candidates; C cells on
-    each axis. Where they may be mirrored there are 2 I rows, row I + i being what is asked of
-    instance i then: other candidates may take its joints. All of it is as it is, though.
+    """Targets of the instances of a split. I instances, P parts, J = P - 1 candidates. Where they
+    may be mirrored there are 2 I rows, row I + i being what is asked of instance i then: other
+    candidates may take its joints. All of it is as it is, though.
 
     Attributes:
         known: (I,) 1 where it was found how the instance moves, else 0: nothing to aim at.
@@ -63,9 +63,8 @@ class Targets:
         centre, extent: (I, 3) the middle and the edges of a box that holds all poses of the object.
         alike: (I, 3, 3) takes the logarithms of an object's growth along the axes to those of one
             that leaves its motions rigid: the mean over axes that a joint turns into each other.
-        grid: (I, P) which of `doubt` belongs to a part; the first is that of unknown ones.
-        doubt: (V, C^3) as in `Ownership`, of cells of a part's rest frame.
-        cells: C.
+        grid: (I, P) which of `far` belongs to a part; the first is that of unknown ones.
+        far: (V, CELLS^3) as in `Ownership`, of cells of a part's rest frame.
     """
 
     known: Tensor
@@ -83,14 +82,13 @@ class Targets:
     extent: Tensor
     alike: Tensor
     grid: Tensor
-    doubt: Tensor
-    cells: int
+    far: Tensor
 
     def of(self, rows: Tensor, mirrored: Tensor | None = None) -> Targets:
         """Return those of some instances, of which some (B,) are mirrored."""
         if mirrored is not None:
             rows = rows + mirrored * (len(self.known) // 2)
-        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-2]}
+        some = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:-1]}
         return replace(self, **some)
 
     def owner(self, points: Tensor, occupied: Tensor) -> Tensor:
@@ -101,14 +99,9 @@ class Targets:
             points: (B, n, 3) in the instances that these targets are of.
         """
         rest = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
-        beyond = ((rest - self.middle[:, :, None]).abs() - self.size[:, :, None]).amax(3)
-        cell = self.grid[..., None] * self.cells**3 + _cells(rest, self.cells)
-        doubt = self.doubt.flatten()[cell]
-        surely = (doubt[:, :1] - CLEARLY).clamp(max=RARELY)
-        most = torch.where(beyond <= 0.0, MOST_DOUBT, torch.where(beyond <= RIM, surely, 0.0))
-        doubt = torch.where((doubt < most) & (self.owns[..., None] > 0), doubt, 1.0)
-        doubt[:, 0] = MOST_DOUBT
-        return torch.where(occupied, doubt.argmin(1), -1)
+        cell = self.grid[..., None] * CELLS**3 + _cells(rest)
+        far = self.far.flatten()[cell].masked_fill(self.owns[..., None] == 0, torch.inf)
+        return torch.where(occupied, far.argmin(1), -1)
 
 
 def targets(
@@ -122,31 +115,27 @@ def targets(
     """Return the targets of a split, on its device.
 
     Args:
-        split: with what is hidden.
         discoveries: what was found in each object, its poses in the order of `rows`.
         rows: the instances of each object that were examined.
         mirrored: whether they may be mirrored.
     """
-    R = split.band.resolution
-    doubt = [torch.ones(R**3, dtype=torch.float16)]
+    far = [torch.ones(CELLS**3, dtype=torch.float16)]
     tables = [_unknown(len(split), model) for _ in range(1 + mirrored)]
     for discovery, instances in zip(likely(discoveries, model), rows, strict=True):
         if not discovery:
             continue
+        points = unpacked(split.surface[torch.from_numpy(instances)].cpu()).double().numpy()
         placed: dict[tuple[float, ...], tuple[Floats, Ownership, int]] = {}
         for table, one in zip(tables, (discovery, in_mirror(discovery)), strict=False):
             taken = [(-1, 1.0), *assigned(one, model)]
             senses = tuple(slot[1] if slot else 1.0 for slot in taken)
             if senses not in placed:
                 motion = _from_closed(discovery, senses)
-                ownership = _owned(split, instances, motion)
-                placed[senses] = motion, ownership, len(doubt)
-                doubt += [torch.from_numpy(d).flatten().half() for d in ownership.doubt]
+                ownership = Ownership.of(list(points), discovery.owner, motion)
+                placed[senses] = motion, ownership, len(far)
+                far += [torch.from_numpy(grid).flatten() for grid in ownership.far]
             _fill(table, instances, discovery, taken, *placed[senses])
-            points = (
-                unpacked(split.surface[torch.from_numpy(instances)].cpu()).double().flatten(0, 1)
-            )
-            low, high = points.amin(0).numpy(), points.amax(0).numpy()
+            low, high = points.min((0, 1)), points.max((0, 1))
             table["centre"][instances], table["extent"][instances] = 0.5 * (low + high), high - low
     device = split.surface.device
     values = {
@@ -159,7 +148,7 @@ def targets(
     values["state"] = in_range(
         values["state"] + rest_states(values["state"], len(model.revolute)), len(model.revolute)
     )
-    return Targets(**values, grid=grid, doubt=torch.stack(doubt).to(device), cells=R)
+    return Targets(**values, grid=grid, far=torch.stack(far).to(device))
 
 
 def in_range(states: Tensor, revolute: int) -> Tensor:
@@ -203,7 +192,7 @@ def _fill(
     Args:
         taken: as `assigned` gives it, with the fixed part.
         motion: (K, P, 4, 4) of each part from its rest frame.
-        ownership: whose its material is; `first`: the place of part 0's cells in `doubt`.
+        ownership: whose its material is; `first`: the place of part 0's cells in `far`.
     """
     T = invert_rigid(motion)
     table["known"][rows], table["alike"][rows] = 1.0, _alike(discovery)
@@ -276,19 +265,10 @@ def _from_closed(discovery: Discovery, senses: tuple[float, ...]) -> Floats:
     return motion
 
 
-def _owned(split: PackedSplit, rows: NDArray[np.intp], motion: NDArray[np.float64]) -> Ownership:
-    """Return whose an object's points are; `motion` (K, P, 4, 4) in the poses `rows`."""
-    R, at = split.band.resolution, torch.from_numpy(rows)
-    clouds = unpacked(split.surface[at].cpu()).double().numpy()
-    bits = np.unpackbits(split.hidden[at].cpu().numpy(), axis=1)
-    return assign_material(list(clouds), bits.reshape(-1, R, R, R) > 0, motion)
-
-
-def _cells(points: Tensor, R: int) -> Tensor:
-    """Return the flat cells of points (..., 3) in a grid of R^3; others are given to its nearest
-    cells."""
-    at = ((points + 0.5) * R).floor().long().clamp(0, R - 1)
-    return (at[..., 0] * R + at[..., 1]) * R + at[..., 2]
+def _cells(points: Tensor) -> Tensor:
+    """Return the flat cells of points (..., 3); those outside are given to the nearest cells."""
+    at = ((points + 0.5) * CELLS).floor().long().clamp(0, CELLS - 1)
+    return (at[..., 0] * CELLS + at[..., 1]) * CELLS + at[..., 2]
 
 
 def likely(discoveries: Found, model: ModelSettings) -> Found:
