@@ -5,7 +5,7 @@ import pytest
 
 from articugen.discovery import Ownership, kernels, owner_kernels, parts_of_surface
 from articugen.discovery.clouds import Cells, Surface, cell_of
-from articugen.discovery.ownership import CELLS, REACH, examined
+from articugen.discovery.ownership import CELLS, NOBODYS, REACH, examined
 
 CASE = np.array([[-0.4, -0.2, -0.2], [0.0, 0.2, 0.2]])
 BAY = np.array([[-0.37, -0.157, -0.157], [0.1, 0.157, 0.157]])
@@ -72,7 +72,9 @@ def part_of(ownership, rest):
 def test_surfaces_are_the_parts_that_they_move_with(tray):
     """The walls of the bay, too, though they lie .007 beside the tray, and where it will be."""
     part, (_, true) = parts_of_surface(*tray[0][:3]), examined(tray[0][3])
-    assert (part == np.concatenate(true)).mean() > 0.99
+    known = part != NOBODYS
+    assert known.mean() > 0.95
+    assert (part == np.concatenate(true))[known].mean() > 0.99
 
 
 def test_boxes_are_those_of_what_was_seen(tray):
@@ -89,7 +91,7 @@ def test_boxes_are_those_of_what_was_seen(tray):
 def test_a_part_that_never_shows_owns_nothing():
     clouds, normals, motions, _ = scene(np.random.default_rng(1), np.zeros(4))
     part = parts_of_surface(clouds, normals, motions)
-    assert (part == 0).all()
+    assert np.isin(part, [0, NOBODYS]).all()
     found = Ownership.of(clouds, part, motions)
     assert found.owns.tolist() == [True, False]
     assert (part_of(found, rest_of(clouds[0], motions[0])) == 0).all()

@@ -41,6 +41,11 @@ _INSIDE = 0.98 * REACH  # at most: what is nobody's surface is the part's in who
 
 _SPARSE = 2.0 / kernels.CELLS  # the greatest distance from a point to the nearest
 
+NOBODYS = 255
+"""The part of a point that nothing is known of: it lies where others of its part hardly are."""
+
+_LONELY = 0.2  # of the median of a part's points: such a share of it in votes
+
 _DOUBTED = 0.02  # how much a point counts for its piece that contradicts no part more than another
 
 
@@ -97,7 +102,8 @@ def parts_of_surface(
     normals: Sequence[Floats],
     motion: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Return (n,) the parts of the `examined` points, by the surfaces and how parts moved.
+    """Return (n,) the parts of the `examined` points, by the surfaces and how parts moved, or
+    NOBODYS.
 
     Args:
         clouds, normals: K poses (n_k, 3) of one object in the unit frame, outward normals.
@@ -140,7 +146,7 @@ def _least_doubted(doubt: Floats, piece: NDArray[np.int64]) -> NDArray[np.intp]:
 def _by_votes(
     part: NDArray[np.intp], rest: Floats, facing: Floats, pose: NDArray[np.intp], near: float
 ) -> NDArray[np.intp]:
-    """Return (n,) the parts of the points of other poses that lie around each at rest.
+    """Return (n,) the parts of the points of other poses that lie around each at rest, or NOBODYS.
 
     Args:
         part, pose: (n,) whose each point may be, and the pose it is of.
@@ -150,9 +156,13 @@ def _by_votes(
     cells = Cells.of([Surface.bare(*both) for both in zip(rest, facing, strict=True)])
     order = np.concatenate([np.argsort(cell_of(points), kind="stable") for points in rest])
     at = cells.points, cells.normals, cells.starts
+    votes = np.zeros((len(part), len(rest)))
     for _ in range(ROUNDS):
         votes = owner_kernels.ballots(rest, facing, pose, *at, part[order], pose[order], near)
         part = np.where(votes.any(1), votes.argmax(1), part)
+    most = votes.max(1)
+    for p in np.unique(part):
+        part[(part == p) & (most < _LONELY * np.median(most[part == p]))] = NOBODYS
     return part
 
 
