@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from articugen.core.geometry import rotation_about, transform
+from articugen.core.geometry import points_on_triangles, rotation_about, transform
 from articugen.evaluation import metrics
-from articugen.meshes.distances import distance, nearest, sample
+from articugen.meshes.distances import distance, nearest
 
 
 def test_nothing_is_infinitely_far():
@@ -41,7 +41,7 @@ def test_distance_to_triangles(seed, flat):
 
 def test_samples_are_uniform_by_area():
     triangles = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[5, 0, 0], [8, 0, 0], [5, 3, 0]]])
-    points = sample(triangles.astype(float), 20_000, np.random.default_rng(0))
+    points = points_on_triangles(triangles.astype(float), 20_000, rng=np.random.default_rng(0))[0]
     assert np.mean(points[:, 0] > 4) == pytest.approx(0.9, abs=0.01)
     assert distance(points, triangles.astype(float)).max() < 1e-12
     small = points[points[:, 0] < 4]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.geometry import points_on_triangles
 from articugen.core.records import Floats, JointKind, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
@@ -30,7 +31,7 @@ from articugen.evaluation.results import (
     Kind,
     Measures,
 )
-from articugen.meshes.distances import distance, sample
+from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level
 from articugen.pictures.solids import shown
 
@@ -153,7 +154,7 @@ class Tally:
         to_true = np.full(1, DIAGONAL)
         if len(outer):
             rng = generator(0, "evaluate", instance.object_id, instance.state_index)
-            drawn = sample(outer, self.protocol.surface_samples, rng)
+            drawn = points_on_triangles(outer, self.protocol.surface_samples, rng=rng)[0]
             to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
         f_score = metrics.f_score(to_true, to_predicted, self.protocol.f_threshold)
         self.add(**{

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
 from articugen.core.geometry import invert_rigid
-from articugen.core.jit import cross, dot, helper, kernel, minus
+from articugen.core.jit import helper, kernel
 from articugen.meshes.bvh import Bvh
+from articugen.meshes.distances import to_box, to_triangle
 
 
 def distances(
@@ -53,11 +54,7 @@ def _distances(points, to_part, first, end, most, faces):
 def _nearer(q, best, box, skip, leaf, triangles, node, end):
     """Return the squared distance of `q` to the faces of nodes `node` to `end`, or `best`."""
     while node < end:
-        gap = 0.0
-        for axis in range(3):
-            beyond = max(box[node, axis] - q[axis], q[axis] - box[node, axis + 3], 0.0)
-            gap += beyond * beyond
-        if gap >= best:
+        if to_box(q, box, node) >= best:
             node = skip[node]
             continue
         for f in range(leaf[node, 0], leaf[node, 0] + leaf[node, 1]):
@@ -68,32 +65,8 @@ def _nearer(q, best, box, skip, leaf, triangles, node, end):
 
 @helper
 def _to_triangle(q, triangles, f):
-    """Return the squared distance of `q` to face `f`: to its plane if over it, else an edge."""
+    """Return the squared distance of `q` to face `f`."""
     a = (float(triangles[f, 4]), float(triangles[f, 5]), float(triangles[f, 6]))
     b = (float(triangles[f, 7]), float(triangles[f, 8]), float(triangles[f, 9]))
     c = (float(triangles[f, 10]), float(triangles[f, 11]), float(triangles[f, 12]))
-    normal = cross(minus(b, a), minus(c, a))
-    square = dot(normal, normal)
-    over = square > 0.0 and _on_inner_side(q, a, b, normal)
-    if over and _on_inner_side(q, b, c, normal) and _on_inner_side(q, c, a, normal):
-        height = dot(minus(q, a), normal)
-        return height * height / square
-    return min(_to_segment(q, a, b), _to_segment(q, b, c), _to_segment(q, c, a))
-
-
-@helper
-def _on_inner_side(q, a, b, normal):
-    """Return whether `q`, dropped on the triangle's plane, lies on the inner side of its edge a,
-    b."""
-    return dot(cross(minus(b, a), minus(q, a)), normal) >= 0.0
-
-
-@helper
-def _to_segment(q, a, b):
-    e, p = minus(b, a), minus(q, a)
-    length = dot(e, e)
-    share = 0.0
-    if length > 0.0:
-        share = min(max(dot(p, e) / length, 0.0), 1.0)
-    off = minus(p, (share * e[0], share * e[1], share * e[2]))
-    return dot(off, off)
+    return to_triangle(q, a, b, c)

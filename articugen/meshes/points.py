@@ -13,10 +13,9 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.files import read_regular
-from articugen.core.geometry import apply, invert_rigid
+from articugen.core.geometry import apply, invert_rigid, points_on_triangles
 from articugen.core.records import Normalization
 from articugen.core.seeding import generator
-from articugen.meshes.distances import sample
 from articugen.meshes.model_files import claimed_rows
 from articugen.meshes.opalign import view_of
 
@@ -143,7 +142,8 @@ def _ply(data: bytes) -> Any:
     cloud: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     if len(getattr(cloud, "faces", ())):
         triangles = np.asarray(cloud.triangles, np.float64)
-        return sample(triangles, _POINTS_ON_A_MESH, generator(0, "cloud of mesh")), triangles
+        rng = generator(0, "cloud of mesh")
+        return points_on_triangles(triangles, _POINTS_ON_A_MESH, rng=rng)[0], triangles
     if len(cloud.vertices) < claimed.get("vertex", 1):
         raise ValueError("cut short")
     return cloud.vertices, None

@@ -23,6 +23,7 @@ from articugen.core.files import within
 from articugen.core.geometry import (
     apply,
     invert_rigid,
+    points_on_triangles,
     rotation_from_quaternion,
     rotation_from_rpy,
     transform,
@@ -37,7 +38,6 @@ from articugen.evaluation.recorded.frames import (
     parts_by_surfaces,
     seen_by,
 )
-from articugen.meshes.distances import sample
 from articugen.meshes.read import read_mesh
 from articugen.pictures.contact_sheet import evenly
 
@@ -80,7 +80,8 @@ def read(folder: Path, count: int) -> Recording:
     if not frames:
         raise InvalidSource(f"{folder}: no image has a pose of every part within {_LATE} s")
     rng = generator(0, "surface")
-    return Recording(folder.name, [sample(s, _SAMPLES, rng) for s in surfaces], frames)
+    clouds = [points_on_triangles(surface, _SAMPLES, rng=rng)[0] for surface in surfaces]
+    return Recording(folder.name, clouds, frames)
 
 
 def _seconds(path: Path) -> float:

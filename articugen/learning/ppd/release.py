@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.geometry import points_on_triangles
 from articugen.core.records import Floats
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
@@ -31,7 +32,6 @@ from articugen.evaluation.tally import (
     surface_of,
 )
 from articugen.learning.ppd.learner import Predictor
-from articugen.meshes.distances import sample
 from articugen.meshes.marching_cubes import zero_level
 
 RESOLUTION = 64
@@ -86,7 +86,7 @@ def evaluate(
 def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
     """Return the same with `count` points instead of each part's surface, uniform by area."""
     drawn = [
-        (i, sample(shape.triangles[shape.part == i], count, rng))
+        (i, points_on_triangles(shape.triangles[shape.part == i], count, rng=rng)[0])
         for i in np.unique(shape.part).tolist()
     ]
     points = np.concatenate([np.zeros((0, 3)), *(points for _, points in drawn)])
