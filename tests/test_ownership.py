@@ -5,7 +5,7 @@ import pytest
 
 from articugen.discovery import Ownership, kernels, owner_kernels, parts_of_surface
 from articugen.discovery.clouds import Cells, Surface, cell_of
-from articugen.discovery.ownership import CELLS, NOBODYS, REACH, examined
+from articugen.discovery.ownership import CELLS, NOBODYS, REACH, _by_votes, examined
 
 CASE = np.array([[-0.4, -0.2, -0.2], [0.0, 0.2, 0.2]])
 BAY = np.array([[-0.37, -0.157, -0.157], [0.1, 0.157, 0.157]])
@@ -95,6 +95,19 @@ def test_a_part_that_never_shows_owns_nothing():
     found = Ownership.of(clouds, part, motions)
     assert found.owns.tolist() == [True, False]
     assert (part_of(found, rest_of(clouds[0], motions[0])) == 0).all()
+
+
+def test_points_where_their_part_hardly_is_are_nobodys():
+    """Two beside each other, away from the others of their part: no box is drawn out to them."""
+    rng = np.random.default_rng(5)
+    plane = np.column_stack([rng.uniform(-0.2, 0.2, (400, 2)), np.zeros(400)])
+    stray = np.array([[0.4, 0.4, 0.0], [0.41, 0.4, 0.0]])
+    points = np.concatenate([np.tile(plane, (3, 1)), stray])
+    pose = np.append(np.repeat([0, 1, 2], 400), [0, 1])
+    rest, facing = np.stack([points + 0.05, points]), np.tile([0.0, 0.0, 1.0], (2, len(points), 1))
+    part = _by_votes(np.ones(len(points), int), rest, facing, pose, 0.05)
+    assert (part[-2:] == NOBODYS).all()
+    assert (part[:-2] == 1).mean() > 0.95
 
 
 def test_what_is_far_from_all_surfaces_is_the_parts_in_whose_box_it_is(tray):

@@ -339,7 +339,6 @@ def test_what_was_found_is_kept_and_read_again(boxes, tmp_path, monkeypatch):
     for one, other in zip(first, again, strict=True):
         assert (one is None) == (other is None)
         if one and other:
-            np.testing.assert_array_equal(one.part, other.part)
             np.testing.assert_array_equal(one.owner, other.owner)
             for a, b in zip(one.joints, other.joints, strict=True):
                 np.testing.assert_array_equal(a.states, b.states)

@@ -81,3 +81,12 @@ def dot(a, b):  # pragma: no cover - compiled
 @helper
 def cross(u, v):  # pragma: no cover - compiled
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@helper
+def root(above, i):  # pragma: no cover - compiled
+    """Return the root of the tree that `i` is in; paths become shorter by it."""
+    while above[i] != i:
+        above[i] = above[above[i]]
+        i = above[i]
+    return i

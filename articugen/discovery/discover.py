@@ -74,28 +74,32 @@ class FoundJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Discovery:
-    """Joints and parts of an object, as found.
-
-    Attributes:
-        joints: that with most points first.
-        points: (n, 3) of pose 0, as given.
-        part: (n,) 0 for what stays, j + 1 for what joint j moves.
-    """
+class Joints:
+    """The `joints` of an object, that with most points first; j + 1 is the part that j moves."""
 
     joints: tuple[FoundJoint, ...]
-    points: Floats
-    part: Ints
 
     def motion(self, pose: int) -> Floats:
         """Return (P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the
         identity. A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
         T = np.tile(np.eye(4), (len(self.joints) + 1, 1, 1))
         for j, joint in enumerate(self.joints):
-            turns = joint.kind == JointKind.REVOLUTE
-            one = Candidate(turns, joint.axis, joint.pivot, joint.states[[pose]])
-            T[j + 1, :3] = motions(one)[0]
+            which = joint.kind == JointKind.REVOLUTE, joint.axis, joint.pivot, joint.states[[pose]]
+            T[j + 1, :3] = motions(Candidate(*which))[0]
         return T
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery(Joints):
+    """Joints and parts of an object, as found.
+
+    Attributes:
+        points: (n, 3) of pose 0, as given.
+        part: (n,) 0 for what stays, j + 1 for what joint j moves.
+    """
+
+    points: Floats
+    part: Ints
 
 
 def discover(
@@ -417,15 +421,9 @@ def _as_neighbours(
         return label
     cells = Cells.of([Surface.bare(cloud[sure])])
     sorted_label = label[sure][np.argsort(cell_of(cloud[sure]), kind="stable")]
-    votes = np.array(
-        [
-            kernels.about(
-                cloud, (sorted_label == k) * 1.0, cells.points, cells.starts, 2 * near, False
-            )[:, 1]
-            for k in range(count)
-        ]
-    )
-    return np.where(votes.sum(0) > 0, votes.argmax(0), label)
+    at = cells.points, cells.starts, 2 * near, False
+    votes = [kernels.about(cloud, (sorted_label == k) * 1.0, *at)[:, 1] for k in range(count)]
+    return np.where(np.sum(votes, axis=0) > 0, np.argmax(votes, axis=0), label)
 
 
 def _joint(diff: Change, joint: Candidate, part: Surface, fixed: Cells) -> FoundJoint:

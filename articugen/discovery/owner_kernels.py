@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from articugen.core.jit import helper, kernel
+from articugen.core.jit import kernel, root
 from articugen.discovery.kernels import is_alike, meets, moved, nearest, row, span
 
 BESIDE, LEVEL = 0.03, 0.004
@@ -37,15 +37,6 @@ def contradicted(points, normals, starts, rest, facing, motions):
     return out / len(motions)
 
 
-@helper
-def _root(above, i):
-    """Return the root of the tree that i is in; paths become shorter by it."""
-    while above[i] != i:
-        above[i] = above[above[i]]
-        i = above[i]
-    return i
-
-
 @kernel
 def pieces(points, normals, starts, reach):
     """Return (n,) for each point of K poses the number of one in the same piece of surface: those
@@ -67,9 +58,9 @@ def pieces(points, normals, starts, reach):
                             and abs(dx * nx + dy * ny + dz * nz) <= FLUSH
                             and abs(dx * mx + dy * my + dz * mz) <= FLUSH
                         ):
-                            above[_root(above, i)] = _root(above, j)
+                            above[root(above, i)] = root(above, j)
     for i in range(len(above)):
-        above[i] = _root(above, i)
+        above[i] = root(above, i)
     return above
 
 

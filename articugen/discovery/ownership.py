@@ -87,7 +87,9 @@ class Ownership:
             if len(rest) >= FEWEST:
                 owns[p], bounds[p] = True, np.quantile(rest, [OUTLIERS, 1.0 - OUTLIERS], axis=0)
                 if p:
-                    far[p] = np.minimum(far[p], np.where(_within(bounds[p]), _INSIDE, REACH))
+                    low, high = np.clip(np.round((bounds[p] + 0.5) * CELLS), 0, CELLS).astype(int)
+                    box = far[p, low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+                    np.minimum(box, _INSIDE, out=box)
         return Ownership(owns, bounds.mean(1), 0.5 * np.ptp(bounds, axis=1), far)
 
 
@@ -98,9 +100,7 @@ def examined(clouds: Sequence[Floats]) -> tuple[NDArray[np.intp], list[Floats]]:
 
 
 def parts_of_surface(
-    clouds: Sequence[Floats],
-    normals: Sequence[Floats],
-    motion: NDArray[np.float64],
+    clouds: Sequence[Floats], normals: Sequence[Floats], motion: NDArray[np.float64]
 ) -> NDArray[np.uint8]:
     """Return (n,) the parts of the `examined` points, by the surfaces and how parts moved, or
     NOBODYS.
@@ -164,10 +164,3 @@ def _by_votes(
     for p in np.unique(part):
         part[(part == p) & (most < _LONELY * np.median(most[part == p]))] = NOBODYS
     return part
-
-
-def _within(bounds: Floats) -> NDArray[np.bool_]:
-    """Return (CELLS, CELLS, CELLS) which centres of cells lie within bounds (2, 3)."""
-    centres = (np.arange(CELLS) + 0.5) / CELLS - 0.5
-    i, j, k = ((centres >= low) & (centres <= high) for low, high in bounds.T)
-    return i[:, None, None] & j[:, None] & k

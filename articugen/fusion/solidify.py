@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.geometry import cross
-from articugen.core.jit import helper, kernel
+from articugen.core.jit import helper, kernel, root
 from articugen.core.portable import arctan2, dot, norm
 from articugen.core.records import DepthMaps, LabelledMesh
 
@@ -373,20 +373,12 @@ def _pieces(faces, count):
         parent[c] = c
     for f in range(faces.shape[0]):
         for corner in range(1, 3):
-            a, b = _root(parent, faces[f, 0]), _root(parent, faces[f, corner])
+            a, b = root(parent, faces[f, 0]), root(parent, faces[f, corner])
             parent[max(a, b)] = min(a, b)
     piece = np.empty(faces.shape[0], np.int64)
     for f in range(faces.shape[0]):
-        piece[f] = _root(parent, faces[f, 0])
+        piece[f] = root(parent, faces[f, 0])
     return piece
-
-
-@helper
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
 
 
 def face_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:

@@ -17,15 +17,8 @@ from numpy.typing import NDArray
 from articugen.core.errors import InvalidArgument, InvalidCheckpoint, UnfitData
 from articugen.core.files import make_folder
 from articugen.core.processes import Crew
-from articugen.core.records import JointKind, dequantize
-from articugen.discovery import (
-    KINDS,
-    Directions,
-    Discovery,
-    FoundJoint,
-    discover,
-    parts_of_surface,
-)
+from articugen.core.records import Floats, JointKind, dequantize
+from articugen.discovery import KINDS, Directions, FoundJoint, Joints, discover, parts_of_surface
 from articugen.learning.sealed import read_arrays, write_arrays
 
 if TYPE_CHECKING:  # imports torch, which workers that look for joints have no use for
@@ -46,25 +39,21 @@ LEAST_SCORE = 0.4
 FEW_OBJECTS = 0.25
 """A kind of joint that a smaller share of the objects has is a mistake."""
 
-_JOINT = ("kind", "axis", "pivot", "states", "score")
-
-
 Stored = tuple[NDArray[np.int16], NDArray[np.int8]]
 """An object's poses as they are stored: points and normals (K, n, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Known(Discovery):
-    """Joints and parts of a training object; `owner` (n,) are those of the points of all poses that
+class Known(Joints):
+    """The joints of a training object; `owner` (n,) are the parts of the points of all poses that
     `ownership.examined` returns."""
 
     owner: NDArray[np.uint8]
 
     @staticmethod
-    def of(discovery: Discovery, poses: Stored) -> Known:
-        motion = np.stack([discovery.motion(k) for k in range(len(poses[0]))])
-        owner = parts_of_surface(list(_points(poses)), list(poses[1] / 127.0), motion)
-        return Known(discovery.joints, discovery.points, discovery.part, owner)
+    def of(object_: Joints, poses: Stored) -> Known:
+        motion = np.stack([object_.motion(k) for k in range(len(poses[0]))])
+        return Known(object_.joints, parts_of_surface(*_clouds(poses), motion))
 
 
 Found = list[Known | None]
@@ -143,7 +132,7 @@ def _looked_for(
     for i, poses in enumerate(objects):
         task = _Asked(poses, directions, folder)
         try:
-            outcomes[i] = _read(read_arrays(task.path, FORMAT)["object"], poses)
+            outcomes[i] = _read(read_arrays(task.path, FORMAT))
         except InvalidCheckpoint:  # not there, or of a disk that lost power
             missing[i] = task
     with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
@@ -157,34 +146,22 @@ def _looked_for(
 
 def _look(task: _Asked) -> Known | None:
     """Return what is found in an object, and keep it."""
-    points, normals, outcome = _points(task.poses), task.poses[1] / 127.0, None
+    (points, normals), known = _clouds(task.poses), None
     with suppress(InvalidArgument):  # nothing moves, or not as one joint would
-        outcome = discover(list(points), normals=list(normals), directions=task.directions)
-    known = None
-    if outcome and outcome.joints and min(j.score for j in outcome.joints) >= LEAST_SCORE:
-        known = Known.of(outcome, task.poses)
-    write_arrays(task.path, {"object": _plain(known)}, FORMAT)
+        one = discover(points, normals=normals, directions=task.directions)
+        if one.joints and min(joint.score for joint in one.joints) >= LEAST_SCORE:
+            known = Known.of(one, task.poses)
+    joints = {str(j): vars(joint) for j, joint in enumerate(known.joints)} if known else {}
+    write_arrays(task.path, {"joints": joints, **({"owner": known.owner} if known else {})}, FORMAT)
     return known
 
 
-def _points(poses: Stored) -> NDArray[np.float64]:
-    """Return (K, n, 3) the points, in the unit frame."""
-    return dequantize(poses[0].view(np.uint16))
+def _read(kept: dict[str, Any]) -> Known | None:
+    joints = kept["joints"].values()
+    joints = tuple(FoundJoint(**{**joint, "kind": JointKind(joint["kind"])}) for joint in joints)
+    return Known(joints, kept["owner"]) if joints else None
 
 
-def _plain(known: Known | None) -> dict[str, Any]:
-    """Return what is known of an object as `write_arrays` takes it."""
-    if known is None:
-        return {}
-    columns = {n: np.array([getattr(joint, n) for joint in known.joints]) for n in _JOINT}
-    return {**columns, "part": known.part.astype(np.uint8), "owner": known.owner}
-
-
-def _read(kept: dict[str, Any], poses: Stored) -> Known | None:
-    if not kept:
-        return None
-    joints = tuple(
-        FoundJoint(JointKind(int(kind)), axis, pivot, states, float(score))
-        for kind, axis, pivot, states, score in zip(*(kept[name] for name in _JOINT), strict=True)
-    )
-    return Known(joints, _points(poses)[0], kept["part"].astype(np.int64), kept["owner"])
+def _clouds(poses: Stored) -> tuple[list[Floats], list[Floats]]:
+    """Return the points (n, 3) of each pose, in the unit frame, and their normals."""
+    return list(dequantize(poses[0].view(np.uint16))), list(poses[1] / 127.0)

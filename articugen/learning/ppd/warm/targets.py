@@ -20,7 +20,7 @@ from torch import Tensor
 
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import Floats, JointKind
-from articugen.discovery import LEAN, Discovery, FoundJoint, Ownership
+from articugen.discovery import LEAN, FoundJoint, Joints, Ownership
 from articugen.discovery.ownership import CELLS
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.ppd.network import rest_states, widest
@@ -181,7 +181,7 @@ def _unknown(count: int, model: ModelSettings) -> dict[str, NDArray[Any]]:
 def _fill(
     table: dict[str, NDArray[Any]],
     rows: NDArray[np.intp],
-    discovery: Discovery,
+    discovery: Joints,
     taken: list[tuple[int, float] | None],
     motion: Floats,
     ownership: Ownership,
@@ -211,7 +211,7 @@ def _fill(
             table["state"][at], table["pivot"][at] = opened - opened.min(), joint.pivot
 
 
-def in_mirror(discovery: Discovery) -> Discovery:
+def in_mirror(discovery: Joints) -> Joints:
     """Return an object's joints as a mirror shows them that swaps left and right: what turns one
     way turns the other way then."""
     side = np.ones(3)
@@ -243,7 +243,7 @@ def is_one_sided(discoveries: Found, model: ModelSettings) -> bool:
     return any(a @ b < _ONE_SIDED * norm(a) * norm(b) for a, b in means)
 
 
-def _alike(discovery: Discovery) -> Floats:
+def _alike(discovery: Joints) -> Floats:
     """Return (3, 3) of `Targets.alike`: joints turn two coordinate axes into each other if they
     point along the third, else all three."""
     across = np.zeros((3, 3), bool)
@@ -255,7 +255,7 @@ def _alike(discovery: Discovery) -> Floats:
     return together / together.sum(1, keepdims=True)
 
 
-def _from_closed(discovery: Discovery, senses: tuple[float, ...]) -> Floats:
+def _from_closed(discovery: Joints, senses: tuple[float, ...]) -> Floats:
     """Return (K, P, 4, 4) the motion of each part from the pose in which it is closed, which is
     that with the least state in the `senses` of the parts, to all poses."""
     motion = np.stack([discovery.motion(k) for k in range(len(discovery.joints[0].states))])
@@ -276,14 +276,14 @@ def likely(discoveries: Found, model: ModelSettings) -> Found:
     a kind of joint that few objects have, or a joint that leans too far from every candidate."""
     kinds, directions = kinds_of(discoveries), directions_of(model)
 
-    def is_likely(discovery: Discovery) -> bool:
+    def is_likely(discovery: Joints) -> bool:
         along = [np.abs(directions[j.kind] @ j.axis).max() for j in discovery.joints]
         return min(along) > LEAN and {joint.kind for joint in discovery.joints} <= kinds
 
     return [one if one and is_likely(one) else None for one in discoveries]
 
 
-def assigned(discovery: Discovery, model: ModelSettings) -> list[tuple[int, float] | None]:
+def assigned(discovery: Joints, model: ModelSettings) -> list[tuple[int, float] | None]:
     """Return the candidate that each joint of an object goes to, and 1 or -1, the sense of its axis
     there.
 
