@@ -83,7 +83,7 @@ def test_boxes_are_those_of_what_was_seen(tray):
     low, high = found.middle[1] - found.size[1], found.middle[1] + found.size[1]
     np.testing.assert_allclose(high, seen[1], atol=0.02)
     np.testing.assert_allclose(low[1:], seen[0, 1:], atol=0.02)
-    assert -0.41 < low[0] < -0.29  # some of the bay's walls may be taken for the tray's
+    assert -0.32 < low[0] < -0.24  # what shows in the last pose alone is little
     low, high = found.middle[0] - found.size[0], found.middle[0] + found.size[0]
     np.testing.assert_allclose([low, high], CASE, atol=0.02)
 
@@ -105,7 +105,8 @@ def test_points_where_their_part_hardly_is_are_nobodys():
     points = np.concatenate([np.tile(plane, (3, 1)), stray])
     pose = np.append(np.repeat([0, 1, 2], 400), [0, 1])
     rest, facing = np.stack([points + 0.05, points]), np.tile([0.0, 0.0, 1.0], (2, len(points), 1))
-    part = _by_votes(np.ones(len(points), int), rest, facing, pose, 0.05)
+    doubt = np.outer([0.05, 0.0], np.ones(len(points)))  # nothing is sure
+    part = _by_votes(doubt, np.zeros(len(points), int), rest, facing, pose, 0.05)
     assert (part[-2:] == NOBODYS).all()
     assert (part[:-2] == 1).mean() > 0.95
 

@@ -102,7 +102,7 @@ def test_what_cannot_be_searched_is_refused() -> None:
         discover_shared(clouds[:5], normals[:5])
     with pytest.raises(InvalidArgument, match="normals are not one for each point"):
         discover_shared(clouds, [*normals[:7], normals[7][:9]])
-    with pytest.raises(InvalidArgument, match="pose 2: 9 points are too few"):
+    with pytest.raises(InvalidArgument, match="pose 2: has 9 points, too few"):
         discover_shared([*clouds[:2], clouds[2][:9], *clouds[3:]], normals)
 
 

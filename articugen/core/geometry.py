@@ -58,6 +58,15 @@ def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None =
     return T
 
 
+def joint_motion(turns: bool, axis: ArrayLike, q: float, pivot: ArrayLike = (0, 0, 0)) -> Floats:
+    """Return the (4, 4) turn by `q` about the unit vector `axis` through `pivot`, or slide along
+    it."""
+    if not turns:
+        return transform(translation=q * np.asarray(axis))
+    R = rotation_about(axis, q)
+    return transform(R, np.asarray(pivot) - turned(R, pivot))
+
+
 def apply(T: Floats, points: ArrayLike) -> Floats:
     """`T` (4, 4) applied to `points` (..., 3)."""
     points = np.asarray(points, dtype=np.float64)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from articugen.core.errors import InvalidArgument
 from articugen.core.records import Floats, Normalization
 from articugen.discovery import kernels
+from articugen.meshes.points import finite
 
 MOST_POINTS = 8192  # points of a pose that are searched; more are thinned to so many
 
 SEARCHED = 8  # poses that are searched, besides pose 0: as many as a vote has bytes
 
 _EDGE = 0.9
-_FEWEST_POINTS = 64
 _STAYS = 0.03  # of a pose's points, at least so many lie where pose 0 has matter
 _ACROSS = 0.008  # planes so near may be the same
 
@@ -69,35 +69,31 @@ class Surface:
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Surfaces of K poses, each pose's points sorted by cell: `points`, `normals` (n, 3) and
-    `starts` (K, cells + 1); `near` as in `Change`, `signed` as in `Surface`. Grids of what is
-    `within` some cells of a point are made when they are first asked for."""
+    `starts` (K, cells + 1), with the `order` (n,) that sorts them; `near` as in `Change`, `signed`
+    as in `Surface`. Grids of what is `within` some cells of a point are made when first needed."""
 
     points: Floats
     normals: Floats
     starts: NDArray[np.int32]
+    order: NDArray[np.int64]
     near: float
     signed: bool
     _within: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
 
     @staticmethod
     def of(surfaces: Sequence[Surface], near: float = 0.0) -> "Cells":
-        points, normals, starts, before = [], [], [], 0
+        starts, orders, before = [], [], 0
         for surface in surfaces:
             cell = cell_of(surface.points)
-            order = np.argsort(cell, kind="stable")
-            points.append(surface.points[order])
-            normals.append(surface.normals[order])
+            orders.append(before + np.argsort(cell, kind="stable"))
             counts = np.bincount(cell, minlength=kernels.CELLS**3)
             starts.append(before + np.concatenate([[0], np.cumsum(counts)]))
             before += len(surface)
+        order = np.concatenate(orders)
+        points = np.concatenate([surface.points for surface in surfaces])[order]
+        normals = np.concatenate([surface.normals for surface in surfaces])[order]
         signed = all(surface.signed for surface in surfaces)
-        return Cells(
-            np.concatenate(points),
-            np.concatenate(normals),
-            np.array(starts, np.int32),
-            near,
-            signed,
-        )
+        return Cells(points, normals, np.array(starts, np.int32), order, near, signed)
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -271,17 +267,10 @@ def checked(poses: Sequence[Any]) -> list[Floats]:
     Raises:
         InvalidArgument: one is no cloud of points.
     """
-    clouds = [np.asarray(pose, np.float64) for pose in poses]
-    for k, cloud in enumerate(clouds):
-        if cloud.ndim != 2 or cloud.shape[1] != 3:
-            raise InvalidArgument(f"pose {k}: numbers of shape {cloud.shape}, not points (n, 3)")
-        if len(cloud) < _FEWEST_POINTS:
-            raise InvalidArgument(
-                f"pose {k}: {len(cloud)} points are too few; give {_FEWEST_POINTS} or more"
-            )
-        if not np.isfinite(cloud).all():
-            raise InvalidArgument(f"pose {k}: some points are not finite numbers; remove them")
-    return clouds
+    return [
+        finite(np.asarray(pose, np.float64), f"pose {k}", InvalidArgument)
+        for k, pose in enumerate(poses)
+    ]
 
 
 def _with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
@@ -321,8 +310,8 @@ def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats
     """Return (n,) the share of the points around each one that have their flag set; its own does
     not count."""
     cells = Cells.of([Surface.bare(cloud)])
-    values = flags[np.argsort(cell_of(cloud), kind="stable")].astype(np.float64)
-    about = kernels.about(cloud, values, cells.points, cells.starts, 1.5 * near, True)
+    at = cells.points, cells.starts, 1.5 * near, True
+    about = kernels.about(cloud, flags[cells.order] * 1.0, *at)
     return about[:, 1] / np.maximum(about[:, 0], 1.0)
 
 

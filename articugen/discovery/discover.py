@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import kernels
-from articugen.discovery.clouds import Cells, Change, Surface, cell_of, change, still
+from articugen.discovery.clouds import Cells, Change, Surface, change, still
 from articugen.discovery.fitting import fitted, some, states_of
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
 
@@ -420,7 +420,7 @@ def _as_neighbours(
     if not sure.any():
         return label
     cells = Cells.of([Surface.bare(cloud[sure])])
-    sorted_label = label[sure][np.argsort(cell_of(cloud[sure]), kind="stable")]
+    sorted_label = label[sure][cells.order]
     at = cells.points, cells.starts, 2 * near, False
     votes = [kernels.about(cloud, (sorted_label == k) * 1.0, *at)[:, 1] for k in range(count)]
     return np.where(np.sum(votes, axis=0) > 0, np.argmax(votes, axis=0), label)

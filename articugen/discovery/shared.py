@@ -37,23 +37,16 @@ SURE, MARGIN = 0.3, 1.25
 
 
 @dataclass(frozen=True, eq=False)
-class SharedJoint:
-    """A joint of all objects of a category.
+class SharedJoint(FoundJoint):
+    """A joint of all N objects of a category, about or along x, y or z.
 
     Attributes:
-        kind: REVOLUTE or PRISMATIC.
-        axis: (3,) unit direction: x, y or z.
         pivot: (N, 3) a point on the axis in each object's own frame.
-        states: (N,) of each object, radians or lengths; the least is 0.
+        states: (N,) of each object; the least is 0.
         score: which share of the others have their part where an object has its, on average.
         margin: how many times the score of the best joint of another kind or direction it has.
     """
 
-    kind: JointKind
-    axis: Floats
-    pivot: Floats
-    states: Floats
-    score: float
     margin: float
 
     def of(self, i: int) -> FoundJoint:

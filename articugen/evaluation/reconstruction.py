@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.geometry import invert_rigid, rotation_about, transform
+from articugen.core.geometry import invert_rigid, joint_motion
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 
@@ -76,11 +76,9 @@ class Reconstruction:
             return None
         joints, motion = self.joints, np.tile(np.eye(4), (self.parts, 1, 1))
         change = posed.joints.state - joints.state
-        for i in np.flatnonzero(joints.kind == JointKind.REVOLUTE):
-            R = rotation_about(joints.direction[i], change[i])
-            motion[i] = transform(R, joints.pivot[i] - R @ joints.pivot[i])
-        for i in np.flatnonzero(joints.kind == JointKind.PRISMATIC):
-            motion[i, :3, 3] = change[i] * joints.direction[i]
+        for i in np.flatnonzero(np.isin(joints.kind, [JointKind.REVOLUTE, JointKind.PRISMATIC])):
+            turns = joints.kind[i] == JointKind.REVOLUTE
+            motion[i] = joint_motion(turns, joints.direction[i], change[i], joints.pivot[i])
         return motion
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import NotOfCategory, RejectedInstance
-from articugen.core.geometry import apply, bounds, invert_rigid, rotation_about, transform
+from articugen.core.geometry import apply, bounds, invert_rigid, joint_motion
 from articugen.core.portable import product, turned
 from articugen.core.recipe import LEAST_STEP, Articulation
 from articugen.core.records import (
@@ -333,9 +333,7 @@ def _motion(joint: Joint, q: float) -> Floats:
     """Return (4, 4) what the joint's value does to its child link, in the joint's frame."""
     if joint.kind == JointKind.FIXED:
         return np.eye(4)
-    if joint.kind == JointKind.PRISMATIC:
-        return transform(translation=q * joint.axis)
-    return transform(rotation_about(joint.axis, q))
+    return joint_motion(joint.kind != JointKind.PRISMATIC, joint.axis, q)
 
 
 def _pattern_of(obj: ArticulatedObject, joint: Joint, patterns: tuple[str, ...]) -> int:

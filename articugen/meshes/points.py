@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from articugen.core.arrays import Floats
-from articugen.core.errors import InvalidSource
+from articugen.core.errors import ArticugenError, InvalidSource
 from articugen.core.files import read_regular
 from articugen.core.geometry import apply, invert_rigid, points_on_triangles
 from articugen.core.records import Normalization
@@ -61,7 +61,7 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     """
     stored, triangles = _shape_of_file(path)
     name = str(path)
-    points = _finite(stored, name)
+    points = finite(stored, name)
     frame = UNIT
     if fit:
         low, high = points.min(0), points.max(0)
@@ -107,7 +107,7 @@ def _shape_of_file(path: Path) -> tuple[Floats, Floats | None]:
 
 def checked(cloud: Floats, name: str) -> Floats:
     """Return the cloud (n, 3); InvalidSource if few, not finite or out of the cube."""
-    _finite(cloud, name)
+    finite(cloud, name)
     if np.abs(cloud).max() > 0.5:
         raise InvalidSource(
             f"{name}: reaches from {_text(cloud.min(0))} to {_text(cloud.max(0))}, beyond the "
@@ -116,17 +116,16 @@ def checked(cloud: Floats, name: str) -> Floats:
     return cloud
 
 
-def _finite(cloud: Floats, name: str) -> Floats:
+def finite(cloud: Floats, name: str, error: type[ArticugenError] = InvalidSource) -> Floats:
+    """Return the cloud (n, 3); an `error` if it is of another shape, few, or not finite."""
     if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InvalidSource(f"{name}: numbers of shape {cloud.shape}, not points (n, 3)")
+        raise error(f"{name}: numbers of shape {cloud.shape}, not points (n, 3)")
     if len(cloud) < FEWEST_POINTS:
-        raise InvalidSource(
-            f"{name}: has {len(cloud)} points, too few to say anything; give {FEWEST_POINTS} or "
-            "more"
-        )
+        few = f"{len(cloud)} points, too few to say anything"
+        raise error(f"{name}: has {few}; give {FEWEST_POINTS} or more")
     if not np.isfinite(cloud).all():
         bad = int((~np.isfinite(cloud)).any(1).sum())
-        raise InvalidSource(f"{name}: {bad} points are not finite numbers; remove them")
+        raise error(f"{name}: {bad} points are not finite numbers; remove them")
     return cloud
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats, Ints
 from articugen.core.colours import PALETTE, colour_of, linear
-from articugen.core.geometry import apply, invert_rigid, rotation_about, transform
+from articugen.core.geometry import apply, invert_rigid, joint_motion
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.pictures.camera import Camera, framed
@@ -109,11 +109,7 @@ def opened(instance: Instance, share: float) -> Floats:
         axis, pivot = instance.joint_axis[j], instance.joint_pivot[j]
         q = (1.0 - share) * instance.joint_lower[j] + share * instance.joint_upper[j]
         q -= instance.joint_state[j]
-        if instance.joint_kind[j] == JointKind.PRISMATIC:
-            moved = transform(translation=q * axis)
-        else:
-            R = rotation_about(axis, q)
-            moved = transform(R, pivot - R @ pivot)
+        moved = joint_motion(instance.joint_kind[j] != JointKind.PRISMATIC, axis, q, pivot)
         motion[j + 1] = motion[instance.joint_parent[j]] @ moved
     return motion
 

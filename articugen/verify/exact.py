@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from articugen.core.geometry import apply, bounds, rotation_about, transform
+from articugen.core.geometry import apply, bounds, joint_motion
 from articugen.core.recipe import Recipe
 from articugen.core.records import (
     ENCLOSED,
@@ -119,11 +119,8 @@ def _motion(row: Instance, _: Recipe) -> Iterator[str]:
         if TOLERANCES["unit"].exceeded_by(abs(np.linalg.norm(axis) - 1.0)):
             yield f"joint_axis[{j}] is not of unit length"
             continue
-        pivot, q = row.joint_pivot[j], row.joint_state[j]
-        motion = transform(translation=q * axis)
-        if row.joint_kind[j] != JointKind.PRISMATIC:
-            R = rotation_about(axis, q)
-            motion = transform(R, pivot - R @ pivot)
+        turns = row.joint_kind[j] != JointKind.PRISMATIC
+        motion = joint_motion(turns, axis, row.joint_state[j], row.joint_pivot[j])
         expected = motion @ row.part_motion[row.joint_parent[j]]
         error = np.abs(expected - row.part_motion[j + 1]).max()
         if TOLERANCES["motion"].exceeded_by(error):

@@ -13,7 +13,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.geometry import apply, joint_motion, transform
 from articugen.core.portable import product, turned
 from articugen.core.records import Joint, JointKind, Mesh, Mimic
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
@@ -122,9 +122,7 @@ class Model:
             kind, lower, upper, rest = self._reach(joint)
             self._rest[joint_name] = rest
             pivot, axis = self._line(joint)
-            back = transform(translation=-rest * axis)
-            if kind != JointKind.PRISMATIC:
-                back = transform(rotation_about(axis, -rest))
+            back = joint_motion(kind != JointKind.PRISMATIC, axis, -rest)
             T = product(T, transform(translation=pivot - at), back)
             self.joints.append(Joint(joint_name, kind, above, child, T, axis, lower, upper))
             self.links[child] = joined(())

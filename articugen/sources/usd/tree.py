@@ -7,7 +7,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.geometry import rotation_about, transform
+from articugen.core.geometry import joint_motion
 from articugen.core.portable import arctan2, dot, norm, product, turned
 from articugen.core.records import Joint, JointKind
 from articugen.sources.usd.physics import WORLD, PhysicsJoint
@@ -116,11 +116,8 @@ class Tree:
         else:
             rest = 0.0
         axis = -axis if turned_round else axis
-        offset = self.origins[child] - self.origins[parent]
-        if joint.kind == JointKind.PRISMATIC:
-            T = transform(None, offset - axis * rest)
-        else:
-            T = transform(rotation_about(axis, -rest), offset)
+        T = joint_motion(joint.kind != JointKind.PRISMATIC, axis, -rest)
+        T[:3, 3] += self.origins[child] - self.origins[parent]
         self.joints.append(Joint(name, joint.kind, *names, T, axis, joint.lower, joint.upper))
 
     def _axis(self, joint: PhysicsJoint) -> tuple[Floats, float]:

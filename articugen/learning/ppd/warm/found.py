@@ -24,7 +24,7 @@ from articugen.learning.sealed import read_arrays, write_arrays
 if TYPE_CHECKING:  # imports torch, which workers that look for joints have no use for
     from articugen.learning.data.split import PackedSplit
 
-FORMAT = "articugen joints 8"
+FORMAT = "articugen joints 9"
 """Of the files that keep what was found; to be raised when something else would be found."""
 
 FOLDER = "joints"
