@@ -227,6 +227,27 @@ def test_a_door_is_not_turned_into_the_side_of_the_cabinet() -> None:
     assert np.abs(joint.states - states).max() < 0.02
 
 
+@pytest.mark.parametrize("angle", [0.6, 1.8])
+@pytest.mark.parametrize("thick", [0.02, 0.04])
+def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> None:
+    """Two poses: most of a flat lid comes to lie on the body's top if it slides down by its own
+    thickness, but the top had been there before."""
+    body, lid = board((0.6, 0.8, 0.05), (0, 0, -0.025)), board((0.6, 0.8, thick), (0, 0, thick / 2))
+    outside = body[1][:, 2] < 0.5, lid[1][:, 2] > -0.5
+    T = turn((0, 1, 0), (0.3, 0, 0))(angle)
+    opened = apply(T, lid[0]), lid[1] @ T[:3, :3].T
+    clouds, normals = (
+        [
+            np.concatenate([body[k][outside[0]], lid[k][outside[1]]]),
+            np.concatenate([body[k], opened[k]]),
+        ]
+        for k in (0, 1)
+    )
+    (joint,) = discover(clouds, normals=normals).joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert abs(joint.states[1] - angle) < 0.02
+
+
 @pytest.mark.parametrize("name", ["drawer_0018", "drawer_0125"])
 def test_what_a_drawer_hides_does_not_move(name: str) -> None:
     """The board below a drawer is seen through the gap until the drawer's floor lies over it."""

@@ -21,9 +21,10 @@ _EDGE = 0.9
 _STAYS = 0.03  # of a pose's points, at least so many lie where pose 0 has matter
 _ACROSS = 0.008  # planes so near may be the same
 
-_TELLING, _COMMON = 4, 0.55
+TELLING, _COMMON = 4, 0.55
 """Of the first many poses or more, what the second share of the others has at the same place is no
 news."""
+_HIDES, _BARE = 0.01, 0.2  # steps before what is new; unless less than such a share is left
 _NEAR = np.array([0.008, 0.05])
 
 
@@ -163,7 +164,7 @@ class Change:
         frame: leads from the clouds' own frame to the cube's.
         others: the clouds of all poses but pose 0, thinned, with the normals that were given.
         near: two surfaces that are nearer than this may be the same.
-        start: pose 0, likewise; `first`: the same in cells, without normals.
+        start: pose 0, likewise; `first`: the same in cells.
         chosen: (S,) the poses that are searched.
         poses: those, in cells; `targets`: what of them is where nothing stays.
         stays: what of pose 0 does not move, in cells.
@@ -205,7 +206,7 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     surfaces = _with_normals([frame.to_unit(cloud) for cloud in sound], normals)
     clouds = tuple(_thinned(surface, rng) for surface in surfaces)
     points = [cloud.points for cloud in clouds]
-    first = Cells.of([Surface.bare(points[0])])
+    first = Cells.of(clouds[:1])
     # most points of a surface are nearer to one another than `near`
     some = np.ascontiguousarray(points[0][:: max(len(points[0]) // 2000, 1)])
     gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
@@ -219,8 +220,9 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
             "fixed part"
         )
     chosen = _spread(left)
-    start = _surface(clouds[0], near)
-    surfaces = [clouds[k] if normals is not None else _surface(clouds[k], near) for k in chosen]
+    start, surfaces = clouds[0].shaped(first, near), [clouds[k] for k in chosen]
+    if normals is None:
+        surfaces = [surface.shaped(Cells.of([surface]), near) for surface in surfaces]
     searched = Cells.of(surfaces, near)
     gone = ~searched.met(start, still(len(chosen)), near)
     if start.signed:  # a face closely opposite hides it: the floor of a drawer the board below
@@ -235,7 +237,11 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
         )
     stays = Cells.of([start[~movers]], near)
     new = [_new(surface, stays, near) for surface in surfaces]
-    targets = Cells.of(new if len(new) < _TELLING else _rare(new, searched, near), near)
+    if len(new) >= TELLING:
+        new = _rare(new, searched, near)
+    elif start.signed:
+        new = [_uncovered(surface, first) for surface in new]
+    targets = Cells.of(new, near)
     return Change(frame, others, near, start, first, chosen, searched, targets, stays, gone, movers)
 
 
@@ -255,10 +261,6 @@ def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> 
 def still(count: int) -> Floats:
     """Return (count, 3, 4) what moves nothing."""
     return np.tile(np.eye(4)[:3], (count, 1, 1))
-
-
-def _surface(cloud: Surface, near: float) -> Surface:
-    return cloud.shaped(Cells.of([cloud]), near)
 
 
 def checked(poses: Sequence[Any]) -> list[Floats]:
@@ -324,8 +326,14 @@ def _new(surface: Surface, stays: Cells, near: float) -> Surface:
 def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
     """Return what is new in each pose without what most of the others have at the same place:
     insides that an open door or drawer shows, which say nothing of how far it has moved."""
-    others = [poses.met(surface, still(len(new)), near).sum(0) - 1 for surface in new]
-    return [
-        surface[there <= _COMMON * (len(new) - 1)]
-        for surface, there in zip(new, others, strict=True)
-    ]
+    most = 1 + _COMMON * (len(new) - 1)  # it has itself
+    return [s[poses.met(s, still(len(new)), near).sum(0) <= most] for s in new]
+
+
+def _uncovered(new: Surface, first: Cells) -> Surface:
+    """Return what is new without that before which pose 0 has a face: a lid may have hidden it."""
+    bare = np.ones(len(new), bool)
+    for height in _HIDES * np.arange(1, 7):
+        over = replace(new, points=new.points + height * new.normals)
+        bare &= ~first.met(over, still(1), _HIDES)[0]
+    return new[bare] if bare.mean() > _BARE else new

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import kernels
-from articugen.discovery.clouds import Cells, Change, Surface, change, still
+from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
 from articugen.discovery.fitting import fitted, some, states_of
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
 
@@ -41,8 +41,9 @@ _ALONE = 0.15  # and of what it explains best no other does this share at least
 _STAYS = 0.1  # by so much a joint must bring a point nearer to the poses than it is if it stays
 _SURE = 0.2  # by so much the next part is farther, where a point is sure of its own
 
-# What is preferred where both explain about as much:
-_SLIDES_FIRST = 1.05  # a slide, which has two parameters fewer, to a turn
+# What is preferred where both explain about as much; the more, the fewer poses say which is right:
+_SLIDES_FIRST = 1.05  # a slide along x, y or z, which has two parameters fewer, to a turn
+_ASKEW = 0.97  # any other slide
 _FAR_TURNS = 0.03  # a lesser turn, by this share a radian: a plate may have been turned over
 _FAR_AXES = 0.5  # an axis by its part, by this share a unit: a hinge does not hang in the air
 _PLAIN = 1.03  # the coordinate axis nearest to one, that of turns no farther than 12 degrees
@@ -174,6 +175,8 @@ class _Found:
         self.part = diff.start[self.movers]
         self.gone = diff.gone[:, self.movers]
         self.left = np.ones(len(self.movers), bool)
+        self.width = 1 if len(self.gone) >= TELLING else 2  # of what is tried
+        self.prior = float(np.sqrt(SEARCHED / len(self.gone)))
         self.joints: list[_Grown] = []
 
     def look_for_joints(self) -> None:
@@ -209,12 +212,13 @@ class _Found:
             return -1.0
         movers = grown.follow & self.left[among]
         gain = grown.right[:, movers].sum() - 2.0 * grown.wrong[:, movers].sum()
-        return float(gain * self._liking(grown.joint, self.part.points[among][movers]))
+        liking = self._liking(grown.joint, self.part.points[among][movers])
+        return float(gain * liking**self.prior)
 
     def _liking(self, joint: Candidate, points: Floats) -> float:
         """Return by how much it is preferred to others that explain as much of its points."""
         if not joint.turns:
-            return _SLIDES_FIRST
+            return _SLIDES_FIRST if np.abs(joint.axis).max() > _BESIDE else _ASKEW
         off = points - joint.pivot
         off -= (off @ joint.axis)[:, None] * joint.axis
         away = float(np.sqrt((off**2).sum(1).min(initial=1.0)))
@@ -227,11 +231,10 @@ class _Found:
         points = self.part.points[free]
         far = np.full(len(free), np.inf)
         at = int(((points - points.mean(0)) ** 2).sum(1).argmax())
-        size = _PATCH if len(self.gone) >= 4 else 2 * _PATCH
         patches = [some(free, 200)]
         for _ in range(_PATCHES):
             squared = ((points - points[at]) ** 2).sum(1)
-            patches.append(free[np.sort(np.argsort(squared, kind="stable")[:size])])
+            patches.append(free[np.sort(np.argsort(squared, kind="stable")[: self.width * _PATCH])])
             far = np.minimum(far, squared)
             at = int(far.argmax())
         return patches
@@ -246,22 +249,22 @@ class _Found:
         ]
         seeds = [self._explained(seed, reach, _SOME) for seed in seeds]
         seeds.sort(key=lambda seed: -self._gain(seed, _SOME))
-        unlike: list[_Grown] = []
+        unlike, most = list[_Grown](), self.width * _GROWN
         for seed in seeds:
-            if len(unlike) < _GROWN and not any(_alike(seed, other) for other in unlike):
+            if len(unlike) < most and not any(_alike(seed, other) for other in unlike):
                 unlike.append(seed)
         return [self._grow(self._explained(seed.joint, reach)) for seed in unlike]
 
     def _voted(self, patch: NDArray[np.intp]) -> list[Candidate]:
-        which = self.movers[patch]
+        which, most = self.movers[patch], self.width * np.array([3, 4, 2])
         voted: list[tuple[float, Candidate]] = []
         if JointKind.REVOLUTE in self.kinds:
             axes = self.directions.get(JointKind.REVOLUTE, np.eye(3))
-            turns = [turn for axis in axes for turn in self.search.turns(which, axis, 3)]
-            voted += sorted(turns, key=lambda vote: -vote[0])[:4]
+            turns = [turn for axis in axes for turn in self.search.turns(which, axis, most[0])]
+            voted += sorted(turns, key=lambda vote: -vote[0])[: most[1]]
         if JointKind.PRISMATIC in self.kinds:
             ways = self.directions.get(JointKind.PRISMATIC, EVERY_WAY)
-            voted += self.search.slides(which, ways, 2)
+            voted += self.search.slides(which, ways, most[2])
         return [joint for _, joint in voted]
 
     def _grow(self, seed: _Grown) -> _Grown:
@@ -284,7 +287,7 @@ class _Found:
         tried = [grown, self._revoted(grown.joint, core, tilts=True)]
         if not grown.joint.turns or np.abs(grown.joint.axis).max() > _BESIDE:
             tried.append(self._revoted(grown.joint.snapped(), core, tilts=False))
-        gains = [self._gain(joint) * (1.0, 1.0, _PLAIN)[n] for n, joint in enumerate(tried)]
+        gains = [self._gain(one) * _PLAIN ** (self.prior * (n == 2)) for n, one in enumerate(tried)]
         return replace(tried[int(np.argmax(gains))], polished=True)
 
     def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
@@ -349,7 +352,7 @@ class _Found:
         if joint.turns:
             return as_it_is
         snapped, as_many = refit(joint.snapped(), tilts=False)
-        return snapped if as_many * _PLAIN >= hits else as_it_is
+        return snapped if as_many * _PLAIN**self.prior >= hits else as_it_is
 
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
         """Without those that explain too little that no other joint does."""
@@ -364,9 +367,10 @@ class _Found:
             )
             if needed.min() >= 1.0:
                 break
+            right = [self._explained(joint, self.change.near).right.sum(0) for joint in joints]
             liked = [
                 self._liking(joint, self.part.points[hit > 0]) * hit.sum()
-                for joint, hit in zip(joints, hits, strict=True)
+                for joint, hit in zip(joints, right, strict=True)
             ]
             joints.pop(int(np.where(needed < 1.0, liked, np.inf).argmin()))
         return joints

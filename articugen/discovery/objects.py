@@ -295,7 +295,7 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
     of = _matched(discovery.part, len(joints), labels, len(truth)) if discovery else {}
     points, part = np.asarray(first.surface.points, np.float64), first.surface.part
     apart = list[float]()
-    kind, axis, pivot, near = True, True, True, True
+    kind = axis = pivot = near = discovery is not None
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
         match = joints[of[j]] if j in of else None
@@ -311,13 +311,8 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
         off = float(np.abs(np.sign(along) * match.states - states[:, j] + states[0, j]).mean())
         near &= bool(off <= (np.radians(AXIS) if match.kind == JointKind.REVOLUTE else PIVOT))
         errors[true.kind].append(off)
-    mean = {name: float(np.mean(some)) if some else None for name, some in errors.items()}
-    mean["apart"] = float(np.mean(apart)) if apart else None
-    count = len(joints) == len(truth)
-    if not discovery:
-        kind = axis = pivot = near = False
-    ends = mean["revolute"], mean["prismatic"], mean["apart"]
-    return Judged(count, kind, axis, pivot, near, *ends)
+    means = [float(np.mean(some)) if some else None for some in (*errors.values(), apart)]
+    return Judged(len(joints) == len(truth), kind, axis, pivot, near, *means)
 
 
 def _apart(match: FoundJoint | None, true: Any, states: Floats, points: Floats) -> float:

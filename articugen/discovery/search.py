@@ -59,8 +59,7 @@ def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
     if not candidate.turns:
         M[:, :, :3], M[:, :, 3] = np.eye(3), q[:, None] * axis
         return M
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    K = np.cross(np.eye(3), axis)
     R = np.eye(3) + np.sin(q)[:, None, None] * K + (1.0 - np.cos(q))[:, None, None] * (K @ K)
     M[:, :, :3] = R
     M[:, :, 3] = pivot - R @ pivot

@@ -167,9 +167,8 @@ class _Vote:
         """Return (H,) which share of an object's part comes to lie on another's, at best, about
         each of the pivots: the mean over pairs of objects."""
         movers = self.movers()
-        moves_most = sorted(movers, key=lambda i: -self.free[i].sum())
         targets = []
-        for r in moves_most[:_REFERENCES]:
+        for r in sorted(movers, key=lambda i: -self.free[i].sum())[:_REFERENCES]:
             points, facing, shifts = self.moved(r, self.free[r], way, np.zeros(1), pivots)
             middle = points[0].mean(0)
             targets.append((r, grid_of(points[0] - middle, facing[0], R), middle + shifts))
@@ -278,8 +277,7 @@ def discover_shared(
     alignment = Alignment(sound, [facing_of(ways) for ways in outward])
     stretch, shift, agreement = alignment.best()
     vote = _Vote(sound, outward, stretch, shift)
-    joints, follows = list[SharedJoint](), list[list[Floats]]()
-    doubtful = None
+    joints, follows, doubtful = list[SharedJoint](), list[list[Floats]](), None
     while len(joints) < _MOST_JOINTS and len(vote.movers()) >= FEWEST:
         way, pivot, margin = vote.joint(kinds)
         states, score, follow = vote.settled(way, pivot)

@@ -371,22 +371,18 @@ def _findings(checked: Checked, scale: float) -> Iterator[Finding]:
 
 def _of(part: PartChecked) -> Iterator[tuple[str, str]]:
     """Yield the kinds of findings of a part, each with how much."""
-    if part.open_edges:
-        yield "open", f"{part.open_edges:,} edges"
-    if part.two_sided > 0.01:
-        yield "two-sided", f"{part.two_sided:.0%}"
-    if part.flipped_pieces:
-        yield "flipped", f"{part.flipped_pieces:,} pieces"
-    if part.turned_edges:
-        yield "flipped", f"{part.turned_edges:,} edges"
-    if part.sheets > 0.01:
-        yield "sheets", f"{part.sheets:.0%}"
-    if part.iou is not None and part.iou < 0.9 and part.two_sided < 0.5:
-        yield "unlike", f"IoU {part.iou:.2f}"
-    if part.crossings:
-        yield "crossing", f"{part.crossings:,} pairs"
-    if part.crowded_edges:
-        yield "not manifold", f"{part.crowded_edges:,} edges"
+    unlike = part.iou is not None and part.iou < 0.9 and part.two_sided < 0.5
+    kinds = (
+        ("open", part.open_edges, f"{part.open_edges:,} edges"),
+        ("two-sided", part.two_sided > 0.01, f"{part.two_sided:.0%}"),
+        ("flipped", part.flipped_pieces, f"{part.flipped_pieces:,} pieces"),
+        ("flipped", part.turned_edges, f"{part.turned_edges:,} edges"),
+        ("sheets", part.sheets > 0.01, f"{part.sheets:.0%}"),
+        ("unlike", unlike, f"IoU {part.iou or 0.0:.2f}"),
+        ("crossing", part.crossings, f"{part.crossings:,} pairs"),
+        ("not manifold", part.crowded_edges, f"{part.crowded_edges:,} edges"),
+    )
+    yield from ((kind, much) for kind, there, much in kinds if there)
 
 
 def _moved(joint: JointChecked) -> Iterator[tuple[str, str]]:
