@@ -228,7 +228,7 @@ def test_a_door_is_not_turned_into_the_side_of_the_cabinet() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.6, 1.8])
-@pytest.mark.parametrize("thick", [0.02, 0.04])
+@pytest.mark.parametrize("thick", [0.02, 0.04, 0.1])
 def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> None:
     """Two poses: most of a flat lid comes to lie on the body's top if it slides down by its own
     thickness, but the top had been there before."""
