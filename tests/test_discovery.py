@@ -248,17 +248,29 @@ def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> Non
     assert abs(joint.states[1] - angle) < 0.02
 
 
+def bundled(name: str, poses: int) -> Discovery:
+    """What is found in the first poses of a bundled object."""
+    few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}
+    keys = {"extends": "category", "sampling": few}
+    made = ag.Maker(ag.load("procedural", name), keys)[:poses]
+    clouds = [dequantize(one.instance.surface_points) for one in made]
+    return discover(clouds, normals=[one.instance.surface_normals / 127 for one in made])
+
+
 @pytest.mark.parametrize("name", ["drawer_0018", "drawer_0125"])
 def test_what_a_drawer_hides_does_not_move(name: str) -> None:
     """The board below a drawer is seen through the gap until the drawer's floor lies over it."""
-    few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}
-    keys = {"extends": "category", "sampling": few}
-    made = ag.Maker(ag.load("procedural", name), keys)[:9]
-    clouds = [dequantize(one.instance.surface_points) for one in made]
-    found = discover(clouds, normals=[one.instance.surface_normals / 127 for one in made])
+    found = bundled(name, 9)
     assert [joint.kind for joint in found.joints] == [JointKind.PRISMATIC] * 3
     for joint in found.joints:
         assert degrees_between(np.abs(joint.axis), (1, 0, 0)) < 2.0
+
+
+def test_two_poses_show_the_plainest_joint_that_explains_them() -> None:
+    """Part of the door would come to lie on something new by another motion as well."""
+    (joint,) = bundled("washing_machine_0013", 2).joints
+    assert joint.kind is JointKind.REVOLUTE
+    assert joint.states[1] == pytest.approx(1.42, abs=0.01)
 
 
 def test_where_joints_point_may_be_known() -> None:
