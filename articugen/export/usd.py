@@ -34,9 +34,20 @@ _QCODES = {
 _PLACES = "st"  # of corners in pictures: the name by which viewers look for them
 
 
-def _pxr(*names: str) -> list[Any]:
-    """Modules of OpenUSD, of which type checkers know nothing."""
-    return [import_module(f"pxr.{name}") for name in names]
+class _Module:
+    """Module of OpenUSD, imported when it is first used; type checkers know nothing of it."""
+
+    def __init__(self, name: str) -> None:
+        self._name = f"pxr.{name}"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._name), name)
+
+
+Gf, Sdf, Tf, Usd, UsdGeom = map(_Module, ("Gf", "Sdf", "Tf", "Usd", "UsdGeom"))
+UsdPhysics, UsdSemantics, UsdShade, Vt = map(
+    _Module, ("UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
+)
 
 
 def _write(item: Item, target: Files) -> None:
@@ -63,8 +74,6 @@ def _write(item: Item, target: Files) -> None:
 def _fill(
     path: Path, name: str, item: Item, parts: tuple[Body, ...], shown: Sequence[Sequence[Look]]
 ) -> None:
-    Usd, UsdGeom, UsdPhysics = _pxr("Usd", "UsdGeom", "UsdPhysics")
-
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -90,8 +99,6 @@ def _fill(
 
 def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
     """Return what SimReady's SR.001 and SR.004 want to know; nothing in it is of the clock."""
-    (Gf,) = _pxr("Gf")
-
     manifest, row = rows.manifest, rows[0]
     corners = np.concatenate([body.place + body.mesh.vertices for body in parts])
     return {
@@ -110,22 +117,16 @@ def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
 
 
 def _add_label(prim: Any, kind: str, label: str) -> None:
-    (UsdSemantics,) = _pxr("UsdSemantics")
-
     UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr([label])
 
 
 def _identifier(name: str) -> str:
     """Return the name as OpenUSD takes it for a prim; led by `_` where it starts with a digit,
     which OpenUSD would put `_` in place of, so that 12692 and 22692 became one."""
-    (Tf,) = _pxr("Tf")
-
     return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
 def _add_body(stage: Any, path: str, part: int, body: Body, shown: Sequence[Look]) -> None:
-    Gf, UsdGeom, UsdPhysics = _pxr("Gf", "UsdGeom", "UsdPhysics")
-
     xform = UsdGeom.Xform.Define(stage, path)
     xform.AddTranslateOp().Set(Gf.Vec3d(*body.place.tolist()))
     prim = xform.GetPrim()
@@ -158,8 +159,6 @@ def _picture_name(part: int, number: int, look: Look) -> str:
 def _add_visual(prim: Any, shape: Mesh, part: int, some: Sequence[Look]) -> None:
     """Add what is seen of a part. Its first colour is that of its own material, for what touches
     it; of several each has the material of a subset of the faces."""
-    Gf, Sdf, UsdGeom, UsdShade, Vt = _pxr("Gf", "Sdf", "UsdGeom", "UsdShade", "Vt")
-
     colours = [Gf.Vec3f(*look.light.tolist()) for look in some]
     names = [_picture_name(part, k, look) for k, look in enumerate(some)]
     _bind_material(prim, prim.GetName(), colours[0], names[0])
@@ -189,8 +188,6 @@ def _add_visual(prim: Any, shape: Mesh, part: int, some: Sequence[Look]) -> None
 def _bind_material(prim: Any, name: str, colour: Any, picture: str) -> None:
     """Bind a new material, for what is seen of it, in a colour or a picture, and for what touches
     it."""
-    Sdf, UsdPhysics, UsdShade = _pxr("Sdf", "UsdPhysics", "UsdShade")
-
     path = prim.GetStage().GetDefaultPrim().GetPath().AppendPath(f"Looks/{name}")
     material = UsdShade.Material.Define(prim.GetStage(), path)
     shader = UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
@@ -210,8 +207,6 @@ def _bind_material(prim: Any, name: str, colour: Any, picture: str) -> None:
 
 def _add_picture(stage: Any, material: Any, picture: str) -> Any:
     """Return the output of what reads a material's picture at the places of corners."""
-    Sdf, UsdShade = _pxr("Sdf", "UsdShade")
-
     kinds = Sdf.ValueTypeNames
     reader = UsdShade.Shader.Define(stage, material.AppendChild("places"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
@@ -228,8 +223,6 @@ def _add_picture(stage: Any, material: Any, picture: str) -> Any:
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
-    UsdGeom, Vt = _pxr("UsdGeom", "Vt")
-
     prim = UsdGeom.Mesh.Define(stage, path)
     points = Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
     prim.CreatePointsAttr(points)
@@ -247,8 +240,6 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
 
 
 def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> None:
-    Gf, Sdf, UsdPhysics = _pxr("Gf", "Sdf", "UsdPhysics")
-
     moving, root = parts[part].joint, path.rpartition("/")[0]
     assert moving is not None
     revolute = moving.kind == "revolute"
