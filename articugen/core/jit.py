@@ -84,6 +84,19 @@ def cross(u, v):  # pragma: no cover - compiled
 
 
 @helper
+def squared(a, b):  # pragma: no cover - compiled
+    """Return the square of the distance between two places."""
+    way = minus(a, b)
+    return dot(way, way)
+
+
+@helper
+def ahead(point, origin, normal):  # pragma: no cover - compiled
+    """Return how far `point` lies in front of the plane through `origin`."""
+    return dot(minus(point, origin), normal)
+
+
+@helper
 def root(above, i):  # pragma: no cover - compiled
     """Return the root of the tree that `i` is in; paths become shorter by it."""
     while above[i] != i:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats, Ints
-from articugen.core.jit import helper, inlined, kernel
+from articugen.core.jit import dot, helper, inlined, kernel, squared, vector
 from articugen.core.near import cells_of, near, reached
 
 ENOUGH = 2500  # of a larger cloud about so many points stand for all where a sum goes over all
@@ -155,19 +155,14 @@ def _carried(at, facing, points, normals, values, cells, reach):
     means = np.empty(len(at))
     nearest = np.empty(len(points), np.int64)
     for i in range(len(at)):
-        x, y, z = at[i, 0], at[i, 1], at[i, 2]
+        here, up = vector(at, i), vector(facing, i)
         total = weight = 0.0
-        for n in range(near(cells, points, (x, y, z), reach, nearest)):
+        for n in range(near(cells, points, here, reach, nearest)):
             j = nearest[n]
-            alike = (
-                facing[i, 0] * normals[j, 0]
-                + facing[i, 1] * normals[j, 1]
-                + facing[i, 2] * normals[j, 2]
-            )
+            alike = dot(up, vector(normals, j))
             if alike <= 0.5:
                 continue
-            squared = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
-            w = alike**4 * (1.0 - squared / (reach * reach)) ** 2
+            w = alike**4 * (1.0 - squared(here, vector(points, j)) / (reach * reach)) ** 2
             total += w * values[j]
             weight += w
         means[i] = total / weight if weight > 0.0 else np.nan

@@ -4,9 +4,9 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.geometry import apply
-from articugen.core.jit import cross, dot, helper, kernel, vector
+from articugen.core.jit import ahead, cross, dot, helper, kernel, vector
 from articugen.pictures.camera import Camera
-from articugen.pictures.surfels import DIRECTIONS, TURNS, Surfels, ahead
+from articugen.pictures.surfels import DIRECTIONS, TURNS, Surfels
 
 MOST_AROUND = 15  # a pixel lies in a gap where so many of the 24 around it are nearer
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bytes, Floats, Ints
-from articugen.core.jit import cross, dot, helper, kernel, minus, vector
+from articugen.core.jit import ahead, cross, dot, helper, kernel, squared, vector
 from articugen.core.near import cells_of, near
 from articugen.pictures.light import SurfaceCloud
 
@@ -128,13 +128,10 @@ def _distance_of_rank(points, normals, part, wanted, rank):
         at, normal = vector(points, i), vector(normals, i)
         nearest[:] = 3.0
         for j in range(len(points)):
-            squared = _squared(at, vector(points, j))
-            if (
-                squared < nearest[rank]
-                and part[j] == part[i]
-                and dot(normal, vector(normals, j)) > SAME_FACE
-            ):
-                _insert(nearest, squared)
+            away = squared(at, vector(points, j))
+            is_alike = part[j] == part[i] and dot(normal, vector(normals, j)) > SAME_FACE
+            if away < nearest[rank] and is_alike:
+                _insert(nearest, away)
         distances[s] = np.sqrt(nearest[rank])
     return distances
 
@@ -210,9 +207,9 @@ def _outline(points, normals, across, part, spacing, cells, rank):
             if alike and abs(before) < slack:
                 face[level] = j
                 level += 1
-                squared = _squared(at, vector(points, j))
-                if squared < nearest[rank]:
-                    _insert(nearest, squared)
+                away = squared(at, vector(points, j))
+                if away < nearest[rank]:
+                    _insert(nearest, away)
             elif not alike and -2.0 * spacing[i] < before < 0.0:
                 others[behind] = j
                 behind += 1
@@ -276,7 +273,7 @@ def _last(points, face, count, center, radius, way):
     last = 0.0
     for n in range(count):
         point = vector(points, face[n])
-        if _squared(center, point) < radius * radius:
+        if squared(center, point) < radius * radius:
             last = max(last, ahead(point, center, way))
     return last
 
@@ -297,18 +294,6 @@ def _goes_on(points, face, count, origin, normal, near, slack):
     """Return whether a face goes on in front of a plane, nearby."""
     for n in range(count):
         point = vector(points, face[n])
-        if _squared(point, origin) < near * near and ahead(point, origin, normal) > slack:
+        if squared(point, origin) < near * near and ahead(point, origin, normal) > slack:
             return True
     return False
-
-
-@helper
-def _squared(a, b):
-    way = minus(a, b)
-    return dot(way, way)
-
-
-@helper
-def ahead(point, origin, normal):
-    """Return how far `point` lies in front of the plane through `origin`."""
-    return dot(minus(point, origin), normal)

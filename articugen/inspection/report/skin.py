@@ -8,7 +8,7 @@ brought back to where the planes of the points around it meet (the quadric error
 
 import numpy as np
 
-from articugen.core.jit import helper, kernel
+from articugen.core.jit import ahead, dot, helper, kernel, minus, squared, vector
 from articugen.core.near import cells_of, near
 from articugen.core.records import Mesh
 from articugen.meshes.marching_cubes import zero_level
@@ -70,27 +70,24 @@ def _field(points, normals, cells, origin, voxel, spacing, R):
     place = np.empty(len(points), np.int64)
     gap = 0.5 * spacing * spacing
     for i, j, k in np.argwhere(_band(points, origin, voxel, R)):
-        x, y, z = origin[0] + i * voxel, origin[1] + j * voxel, origin[2] + k * voxel
-        count = near(cells, points, (x, y, z), REACH * voxel, place)
+        at = origin[0] + i * voxel, origin[1] + j * voxel, origin[2] + k * voxel
+        count = near(cells, points, at, REACH * voxel, place)
         least = 1e9
         for n in range(count):
-            p = place[n]
-            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
-            least = min(least, squared)
-        ahead = weight = 0.0
+            least = min(least, squared(at, vector(points, place[n])))
+        front = weight = 0.0
         width = 0.15 * voxel * voxel + 0.1 * least
         for n in range(count):
-            p = place[n]
-            dx, dy, dz = x - points[p, 0], y - points[p, 1], z - points[p, 2]
+            dx, dy, dz = minus(at, vector(points, place[n]))
             w = np.exp((least - dx * dx - dy * dy - dz * dz) / width)
-            ahead += w * (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2])
+            front += w * dot((dx, dy, dz), vector(normals, place[n]))
             weight += w
         if count == 0:
             continue
-        ahead /= weight
-        if ahead > 0.0:
-            ahead = np.sqrt(max(ahead * ahead, least - gap))
-        field[i, j, k] = SWOLLEN - ahead / voxel
+        front /= weight
+        if front > 0.0:
+            front = np.sqrt(max(front * front, least - gap))
+        field[i, j, k] = SWOLLEN - front / voxel
     return field
 
 
@@ -133,54 +130,38 @@ def _draw_to(vertices, facing, points, normals, cells, voxel):
     is_drawn = np.zeros(len(vertices), np.bool_)
     a, b = np.empty((3, 3)), np.empty(3)
     for v in range(len(vertices)):
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        count = near(cells, points, (x, y, z), AROUND * voxel, place)
+        at, outwards = vector(vertices, v), vector(facing, v)
+        count = near(cells, points, at, AROUND * voxel, place)
         nearest, least = -1, 1e9
         for n in range(count):
-            p = place[n]
-            alike = facing[v, 0] * normals[p, 0] + facing[v, 1] * normals[p, 1]
-            alike += facing[v, 2] * normals[p, 2]
-            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
-            if alike > SAME_SIDE and squared < least:
-                nearest, least = p, squared
+            away = squared(at, vector(points, place[n]))
+            if away < least and dot(outwards, vector(normals, place[n])) > SAME_SIDE:
+                nearest, least = place[n], away
         if nearest < 0:
             continue
         is_drawn[v] = True
         # the foot of the vertex on the nearest plane is where it stays along what is free
-        p = nearest
-        ahead = (x - points[p, 0]) * normals[p, 0] + (y - points[p, 1]) * normals[p, 1]
-        ahead += (z - points[p, 2]) * normals[p, 2]
-        fx, fy, fz = x - ahead * normals[p, 0], y - ahead * normals[p, 1], z - ahead * normals[p, 2]
+        normal = vector(normals, nearest)
+        front = ahead(at, vector(points, nearest), normal)
+        foot = at[0] - front * normal[0], at[1] - front * normal[1], at[2] - front * normal[2]
         a[:] = 0.0
         b[:] = 0.0
         total = 0.0
         for n in range(count):
-            p = place[n]
-            nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-            if facing[v, 0] * nx + facing[v, 1] * ny + facing[v, 2] * nz <= SAME_SIDE:
+            point, normal = vector(points, place[n]), vector(normals, place[n])
+            if dot(outwards, normal) <= SAME_SIDE:
                 continue
-            squared = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
-            w = (1.0 - squared / (AROUND * voxel) ** 2) ** 2
-            # relative to the foot
-            d = (points[p, 0] - fx) * nx + (points[p, 1] - fy) * ny + (points[p, 2] - fz) * nz
-            a[0, 0] += w * nx * nx
-            a[0, 1] += w * nx * ny
-            a[0, 2] += w * nx * nz
-            a[1, 1] += w * ny * ny
-            a[1, 2] += w * ny * nz
-            a[2, 2] += w * nz * nz
-            b[0] += w * d * nx
-            b[1] += w * d * ny
-            b[2] += w * d * nz
+            w = (1.0 - squared(at, point) / (AROUND * voxel) ** 2) ** 2
+            d = ahead(point, foot, normal)
+            for r in range(3):
+                for c in range(r, 3):
+                    a[r, c] += w * normal[r] * normal[c]
+                b[r] += w * d * normal[r]
             total += w
-        stiff = STIFF * total
-        a[0, 0] += stiff
-        a[1, 1] += stiff
-        a[2, 2] += stiff
-        sx, sy, sz = _solved(a, b)
-        far = np.sqrt(sx * sx + sy * sy + sz * sz)
-        shorter = min(1.0, 1.0 * voxel / max(far, 1e-12))
-        vertices[v, 0] = fx + shorter * sx
-        vertices[v, 1] = fy + shorter * sy
-        vertices[v, 2] = fz + shorter * sz
+        for r in range(3):
+            a[r, r] += STIFF * total
+        step = _solved(a, b)  # from the foot
+        shorter = min(1.0, voxel / max(np.sqrt(dot(step, step)), 1e-12))
+        for r in range(3):
+            vertices[v, r] = foot[r] + shorter * step[r]
     return is_drawn
