@@ -10,7 +10,7 @@ from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.evaluation.evaluate import objects_of, tested
-from articugen.evaluation.reconstruction import Reconstruction
+from articugen.evaluation.reconstruction import Reconstruction, truth
 from articugen.evaluation.results import Evaluation
 from articugen.pictures.contact_sheet import evenly
 from articugen.pictures.layout import GREY, Caption, Row, in_columns, save, sheet
@@ -186,7 +186,8 @@ def reconstructions(
     clouds = [dequantize(instance.surface_points) for instance in drawn]
     shapes = [[reconstruct(cloud) for cloud in clouds] for _, reconstruct, _ in models]
     discs = pooled(evenly(instances, pool))
-    axes = [_true_axes(instance) for instance in drawn]
+    parts = range(len(drawn[0].part_motion))
+    axes = [_axes(instance, truth(instance), Names(parts, parts)) for instance in drawn]
     points = np.concatenate(
         clouds
         + [solid.triangles.reshape(-1, 3) for solid in (*axes, *(x for row in shapes for x in row))]
@@ -202,7 +203,7 @@ def reconstructions(
     for (name, _, names), some in zip(models, shapes, strict=True):
         pairs = list(zip(drawn, some, strict=True))
         predicted = [
-            solid_portrait(solid_of(f, names), camera, floor, beside=_predicted_axes(i, f, names))
+            solid_portrait(solid_of(f, names), camera, floor, beside=_axes(i, f, names))
             for i, f in pairs
         ]
         moved = [_caption(i, _changes(i, some[0], f, names)) for i, f in pairs]
@@ -251,37 +252,20 @@ def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Ca
     return texts
 
 
-def _true_axes(instance: Instance) -> ColouredMesh:
+def _axes(instance: Instance, shape: Reconstruction, names: Names) -> ColouredMesh:
+    """Return the axes of the parts that joints move, as long as the true ones would be there:
+    through the pivot and all of the part, or out of a sliding part."""
     points, part = dequantize(instance.surface_points), instance.surface_part
-    return ColouredMesh.joined([
-        _axis(kind, pivot, axis, points, points[part == j + 1], colour_of(j + 1))
-        for j, (kind, pivot, axis) in enumerate(
-            zip(instance.joint_kind, instance.joint_pivot, instance.joint_axis, strict=True)
-        )
-    ])  # fmt: skip
-
-
-def _predicted_axes(instance: Instance, predicted: Reconstruction, names: Names) -> ColouredMesh:
-    """Return the axes of the parts that joints move, as long as the true ones would be there."""
-    points, part = dequantize(instance.surface_points), instance.surface_part
-    joints, axes = predicted.joints, []
+    joints, axes = shape.joints, []
     for j in range(len(instance.joint_kind)):
-        i = names.part_of(j, predicted)
+        i = names.part_of(j, shape)
         if joints is None or i is None or joints.kind[i] == JointKind.FIXED:
             continue
-        kind, pivot, direction = joints.kind[i], joints.pivot[i], joints.direction[i]
-        axes.append(_axis(kind, pivot, direction, points, points[part == j + 1], colour_of(j + 1)))
+        turns, axis = joints.kind[i] == JointKind.REVOLUTE, joints.direction[i]
+        near = points[part == j + 1] if (part == j + 1).any() else points
+        through = joints.pivot[i] if turns else near.mean(0)
+        along = (near - through) @ axis
+        low, high = along.min() - 0.1 if turns else 0.0, along.max() + 0.14
+        colour = shaded(colour_of(j + 1), -0.4)
+        axes.append(arrow(through + low * axis, through + high * axis, 0.006, colour))
     return ColouredMesh.joined(axes)
-
-
-def _axis(
-    kind: int, pivot: Floats, axis: Floats, points: Floats, of_part: Floats, colour: str
-) -> ColouredMesh:
-    """Through the pivot and all of the part, or out of a sliding part."""
-    near = of_part if len(of_part) else points
-    through = pivot if kind == JointKind.REVOLUTE else near.mean(0)
-    along = (near - through) @ axis
-    low = along.min() - 0.1 if kind == JointKind.REVOLUTE else 0.0
-    return arrow(
-        through + low * axis, through + (along.max() + 0.14) * axis, 0.006, shaded(colour, -0.4)
-    )
