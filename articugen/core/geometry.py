@@ -68,12 +68,13 @@ def joint_motion(turns: bool, axis: ArrayLike, q: float, pivot: ArrayLike = (0, 
 
 
 def apply(T: Floats, points: ArrayLike) -> Floats:
-    """`T` (4, 4) applied to `points` (..., 3)."""
+    """`T` (4, 4), or (..., 4, 4) one for each point, applied to `points` (..., 3)."""
     points = np.asarray(points, dtype=np.float64)
     x, y, z = np.moveaxis(points, -1, 0)
     moved = np.empty_like(points)
     for row in range(3):
-        moved[..., row] = T[row, 0] * x + T[row, 1] * y + T[row, 2] * z + T[row, 3]
+        a, b, c, d = (T[..., row, column] for column in range(4))
+        moved[..., row] = a * x + b * y + c * z + d
     return moved
 
 

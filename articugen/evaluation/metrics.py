@@ -108,13 +108,8 @@ def endpoint_error(points: Floats, true: Ints, T_true: Floats, T_predicted: Floa
         T_predicted: (n, 4, 4) what moves each point.
     """
     moved = np.einsum("nij,nj->ni", T_predicted[:, :3, :3], points) + T_predicted[:, :3, 3]
-    shares = []
-    for k in np.unique(true):
-        of_part = true == k
-        shares.append(
-            np.linalg.norm(moved[of_part] - apply(T_true[k], points[of_part]), axis=1).mean()
-        )
-    return float(np.mean(shares))
+    apart = np.linalg.norm(moved - apply(T_true[true], points), axis=1)
+    return float(np.mean([apart[true == k].mean() for k in np.unique(true)]))
 
 
 def chamfer_l1(to_true: Floats, to_predicted: Floats) -> float:

@@ -376,12 +376,9 @@ class Row:
                 f"{self.object_id} does not flow to {other.object_id}: they are not one object in "
                 "one unit frame; take both from one data set, or from one Maker"
             )
-        back, forth = (np.stack([p.motion for p in row.parts]) for row in (self, other))
+        back, forth = (row.stored("part_motion") for row in (self, other))
         points, part = np.asarray(self.surface.points, np.float64), self.surface.part
-        flow = np.zeros_like(points)
-        for k, (T_own, T_other) in enumerate(zip(invert_rigid(back), forth, strict=True)):
-            of_part = part == k
-            flow[of_part] = apply(T_other, apply(T_own, points[of_part])) - points[of_part]
+        flow = apply(forth[part], apply(invert_rigid(back)[part], points)) - points
         return flow.astype(np.float32)
 
     def _which(self) -> str:
