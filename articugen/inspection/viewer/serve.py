@@ -5,6 +5,7 @@ import io
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from articugen.core.errors import ArticugenError, MissingExtra
@@ -52,12 +53,10 @@ def served(source: Source, *, host: str = LOOPBACK, port: int | None = None) -> 
 
 
 def _server(host: str, port: int | None) -> "viser.ViserServer":
-    try:
-        import viser  # noqa: PLC0415 - optional
-    except ModuleNotFoundError as error:
-        if error.name != "viser":
-            raise
-        raise MissingExtra("viser", "view") from None
+    if find_spec("viser") is None:
+        raise MissingExtra("viser", "view")
+    import viser  # noqa: PLC0415 - optional
+
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port or 0), family=family).close()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core import records
 from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe
 from articugen.core.records import JointKind
@@ -18,6 +19,7 @@ from articugen.sources.source_file import source_files
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.rows import RowJoint
 from articugen.store.shards import open_shard
 
 
@@ -65,16 +67,9 @@ def _shown_as_stored(data: DataSet, object_id: str) -> Shown:
         maker = _maker(data, path, object_id)
     except ArticugenError as error:
         why = str(error)
-    joints = (
-        _joints_of(maker)
-        if maker
-        else [
-            Joint(j.name, JointKind[j.kind.upper()], min(j.lower, 0.0), max(j.upper, 0.0))
-            for j in its[0].joints
-        ]
-    )
+    stored = [_joint(joint, JointKind[joint.kind.upper()]) for joint in its[0].joints]
     return Shown(
-        object_id, joints, states, read,
+        object_id, _joints_of(maker) if maker else stored, states, read,
         image_size=data.recipe.sampling.partial_resolution, split=split, maker=maker, why=why,
     )  # fmt: skip
 
@@ -94,16 +89,11 @@ def _maker(data: DataSet, shard: Path, object_id: str) -> Maker:
 
 
 def _joints_of(maker: Maker) -> list[Joint]:
-    return [
-        Joint(
-            joint.name,
-            joint.kind.stored,
-            min(joint.lower, 0.0),
-            max(joint.upper, 0.0),
-            joint.mimic.joint if joint.mimic else "",
-        )
-        for joint in maker.joints
-    ]
+    return [_joint(j, j.kind.stored, j.mimic.joint if j.mimic else "") for j in maker.joints]
+
+
+def _joint(joint: RowJoint | records.Joint, kind: JointKind, follows: str = "") -> Joint:
+    return Joint(joint.name, kind, min(joint.lower, 0.0), max(joint.upper, 0.0), follows)
 
 
 def _modelled(source: str, category: str | None, recipe: str | None, seed: int) -> Source:
