@@ -20,7 +20,7 @@ from articugen.meshes.marching_cubes import zero_level
 from articugen.meshes.painting import Look
 from articugen.pictures.layout import png_of
 from articugen.store.dataset import DataSet
-from articugen.store.rows import Row
+from articugen.store.rows import Row, RowJoint
 
 _WITHIN = 1e-4  # of the surface that was extracted, unit frame: finer than that is exact
 
@@ -109,26 +109,14 @@ def part_boxes(rows: DataSet) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class MetricJoint:
+class MetricJoint(RowJoint):
     """A joint in the model's own frame, canonical pose; its state there is 0.
 
     Attributes:
         name: as the model's file has it, or a made-up one; none is there twice.
-        kind: "revolute" or "prismatic".
-        parent, part: the part that it hangs on, and the one that it moves.
         pivot: (3,) a point on the axis, metres.
-        axis: (3,) unit direction.
         lower, upper: its range, rad or metres; 0 lies in it.
     """
-
-    name: str
-    kind: str
-    parent: int
-    part: int
-    pivot: Floats
-    axis: Floats
-    lower: float
-    upper: float
 
 
 def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
@@ -138,18 +126,16 @@ def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
     """
     names = unique(joint.name or f"joint_{joint.part}" for joint in row.joints)
     return tuple(
-        MetricJoint(
-            name=name,
-            kind=joint.kind,
-            parent=joint.parent,
-            part=joint.part,
-            pivot=row.to_metres(joint.pivot),
-            axis=np.asarray(joint.axis) / np.linalg.norm(joint.axis),
-            lower=min(joint.lower, 0.0),
-            upper=max(joint.upper, 0.0),
-        )
+        MetricJoint(**{
+            **vars(joint),
+            "name": name,
+            "pivot": row.to_metres(joint.pivot),
+            "axis": np.asarray(joint.axis) / np.linalg.norm(joint.axis),
+            "lower": min(joint.lower, 0.0),
+            "upper": max(joint.upper, 0.0),
+        })
         for name, joint in zip(names, row.joints, strict=True)
-    )
+    )  # fmt: skip
 
 
 def part_names(row: Row) -> tuple[str, ...]:

@@ -36,17 +36,14 @@ def _write(item: Item, target: Files) -> None:
             "needed; make the data with sampling.near_sharp between 0 and 1 and uniform_points"
         )
     near, far = _queries(row.near), _queries(row.uniform)
-    target.write_arrays(
-        _path(row),
-        {
-            "fps_coarse_surface": _surface(row.surface),
-            "fps_sharp_surface": _surface(row.sharp),
-            "rand_points": np.concatenate(
-                [_repeated(near[: len(near) - edges], _NEAR)[:_NEAR], _repeated(far, _FAR)]
-            ),
-            "sharp_near_surface": _repeated(near[len(near) - edges :], _EDGES),
-        },
-    )
+    near, sharp = near[:-edges], near[-edges:]
+    arrays = {
+        "fps_coarse_surface": _surface(row.surface),
+        "fps_sharp_surface": _surface(row.sharp),
+        "rand_points": np.concatenate([_repeated(near, _NEAR)[:_NEAR], _repeated(far, _FAR)]),
+        "sharp_near_surface": _repeated(sharp, _EDGES),
+    }
+    target.write_arrays(_path(row), arrays)
 
 
 def _repeated(points: NDArray[np.float32], least: int) -> NDArray[np.float32]:
