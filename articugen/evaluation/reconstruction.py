@@ -1,6 +1,6 @@
 """What a learner says of one cloud: part surfaces and, where it knows them, motions and joints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -137,18 +137,13 @@ def truth(instance: Instance, resolution: int = 32) -> Reconstruction:
         resolution: of the stored grid of occupancy, if there is such a grid.
     """
     grid = instance.occupancy.get(resolution, np.zeros((0, 0, 0), np.uint8))
-    triangles = np.repeat(dequantize(instance.surface_points)[:, None], 3, axis=1)
-    return Reconstruction(
-        triangles=triangles,
-        part=instance.surface_part.astype(np.int64),
-        whole=triangles,
-        occupied=grid > 0,
-        parts=len(instance.part_motion),
-        T_part=instance.part_motion,
-        joints=PartJoints(
-            kind=np.append(JointKind.FIXED, instance.joint_kind).astype(np.int64),
-            state=np.append(0.0, instance.joint_state),
-            pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
-            direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]),
-        ),
+    joints = PartJoints(
+        kind=np.append(JointKind.FIXED, instance.joint_kind).astype(np.int64),
+        state=np.append(0.0, instance.joint_state),
+        pivot=np.concatenate([np.zeros((1, 3)), instance.joint_pivot]),
+        direction=np.concatenate([[[0, 0, 1.0]], instance.joint_axis]),
     )
+    points, part = dequantize(instance.surface_points), instance.surface_part.astype(np.int64)
+    motion = instance.part_motion
+    known = labelled_points(points, part, len(motion), T_part=motion, joints=joints)
+    return replace(known, whole=known.triangles, occupied=grid > 0)

@@ -142,9 +142,8 @@ def _plane(points: Floats) -> tuple[Floats, float] | None:
             best = on if on.sum() > best.sum() else best
     if best.mean() < _MOSTLY:
         return None
-    middle = points[best].mean(0)
-    normal = np.linalg.svd(points[best] - middle, full_matrices=False)[2][2]
-    return normal, float(normal @ middle)
+    normal = _thin(points[best])
+    return normal, float(normal @ points[best].mean(0))
 
 
 def surfaces_seen(frames: Sequence[Frame]) -> list[Floats]:

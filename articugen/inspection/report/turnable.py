@@ -49,9 +49,8 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
         instances = [shard.instance(row) for row in evenly(chosen.rows, POOLED)]
     first = instances[0]
     clouds = [oriented_points(i).moved(invert_rigid(i.part_motion)) for i in instances]
-    posed = np.concatenate([dequantize(i.surface_points) for i in instances])
     parts = [_skin_of(clouds, part) for part in range(len(first.part_motion))]
-    posed = np.concatenate([posed, swept(first)])
+    posed = np.concatenate([*(dequantize(i.surface_points) for i in instances), swept(first)])
     low, high = posed.min(axis=0), posed.max(axis=0)
     middle = (low + high) / 2.0
     far = np.array([max(joint.lower, joint.upper, key=abs) for joint in chosen.joints])
