@@ -49,23 +49,6 @@ _SPECK = 1e-12  # m^2, of faces that nobody sees; MuJoCo refuses meshes of 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Inertia:
-    """`mass` kg; `center` (3,) of mass, metres; `tensor` (3, 3) about it, kg m^2."""
-
-    mass: float
-    center: Floats
-    tensor: Floats
-
-
-def inertia(mesh: Mesh, density: float) -> Inertia:
-    """Compute mass and inertia of a watertight mesh in metres, filled with `density` kg/m^3."""
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    solid.density = density
-    moments = solid.mass_properties
-    return Inertia(float(moments.mass), moments.center_mass, moments.inertia)
-
-
-@dataclass(frozen=True, eq=False)
 class Body:
     """A part.
 
@@ -74,7 +57,8 @@ class Body:
         place: (3,) where its frame stands in the model's own, canonical pose, metres.
         unit_mesh, mesh: watertight, in the unit frame, and in its own.
         hulls: convex meshes that together fill about the same space; () unless asked for.
-        inertia: of the mesh, filled with DENSITY, in its frame.
+        filled: the mesh with DENSITY in it: `mass` kg; `center_mass` (3,) metres, in its frame;
+            `moment_inertia` (3, 3) about that, kg m^2.
         joint: what it moves by; None of part 0.
     """
 
@@ -83,7 +67,7 @@ class Body:
     unit_mesh: Mesh
     mesh: Mesh
     hulls: tuple[Mesh, ...]
-    inertia: Inertia
+    filled: trimesh.Trimesh
     joint: MetricJoint | None
 
 
@@ -107,7 +91,8 @@ def bodies(item: Item, target: Files) -> tuple[Body, ...]:
             fit = {"part": names[part], "pieces": len(hulls), "iou": round(iou, 4)}
             fits.append({**fit, "cavities": volumes})
         joint = joints[part - 1] if part else None
-        filled = inertia(mesh, DENSITY)
+        filled = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        filled.density = DENSITY
         built.append(Body(names[part], at[part], solid.mesh, mesh, hulls, filled, joint))
     if target.options.collision:
         target.write(f"{item.key}/collision.json", json.dumps(fits, indent=1).encode())
@@ -125,10 +110,10 @@ def resistance(parts: Sequence[Body], part: int) -> tuple[float, float]:
     assert joint is not None
     mass = turned = 0.0
     for body in (parts[k] for k in from_the_root(parts, part)):
-        solid = body.inertia
-        arm = np.cross(joint.axis, body.place + solid.center - joint.pivot)
-        turned += float(joint.axis @ solid.tensor @ joint.axis + solid.mass * arm @ arm)
-        mass += solid.mass
+        solid = body.filled
+        arm = np.cross(joint.axis, body.place + solid.center_mass - joint.pivot)
+        turned += float(joint.axis @ solid.moment_inertia @ joint.axis + solid.mass * arm @ arm)
+        mass += float(solid.mass)
     weight = JOINT_FRICTION[joint.kind] * _GRAVITY * mass
     if joint.kind == "prismatic":
         return mass / SLOWING, weight

@@ -11,7 +11,6 @@ import numpy as np
 from articugen.export.assembly import (
     DENSITY,
     SURFACE_FRICTION,
-    Inertia,
     bodies,
     from_the_root,
     numbers,
@@ -63,7 +62,12 @@ def _write(item: Item, target: Files) -> None:
         visuals, collisions = write_meshes(item, target, part, body, apart=True)
         whole = f"part_{part}" in visuals
         if not whole:  # its pieces enclose nothing
-            _add_inertia(placed[part], body.inertia)
+            tensor = body.filled.moment_inertia
+            moments = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+            stated = {"pos": numbers(body.filled.center_mass)}
+            stated |= {"mass": numbers([body.filled.mass])}
+            stated |= {"fullinertia": " ".join(f"{moment:.12g}" for moment in moments)}
+            ET.SubElement(placed[part], "inertial", stated)
         for mesh, look in visuals.items():
             how = {"inertia": "exact" if whole else "shell"}
             ET.SubElement(assets, "mesh", {"name": mesh, "file": f"{mesh}.obj", **how})
@@ -85,14 +89,6 @@ def _write(item: Item, target: Files) -> None:
             ET.SubElement(contact, "exclude", body1=above, body2=names[part])
     ET.indent(root)
     target.write(f"{item.key}/{name}.xml", ET.tostring(root, encoding="utf-8") + b"\n")
-
-
-def _add_inertia(body: ET.Element, inertia: Inertia) -> None:
-    tensor = inertia.tensor
-    moments = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
-    stated = {"pos": numbers(inertia.center), "mass": numbers([inertia.mass])}
-    stated["fullinertia"] = " ".join(f"{moment:.12g}" for moment in moments)
-    ET.SubElement(body, "inertial", stated)
 
 
 FORMAT = Format(

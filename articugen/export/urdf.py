@@ -17,11 +17,11 @@ def _write(item: Item, target: Files) -> None:
     robot = ET.Element("robot", name=item.key.rpartition("/")[2])
     for part, body in enumerate(parts):
         link = ET.SubElement(robot, "link", name=body.name)
-        inertia = body.inertia
+        solid = body.filled
         inertial = ET.SubElement(link, "inertial")
-        ET.SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
-        ET.SubElement(inertial, "mass", value=numbers([inertia.mass]))
-        upper = zip(_MOMENTS, inertia.tensor[np.triu_indices(3)], strict=True)
+        ET.SubElement(inertial, "origin", xyz=numbers(solid.center_mass), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=numbers([solid.mass]))
+        upper = zip(_MOMENTS, solid.moment_inertia[np.triu_indices(3)], strict=True)
         ET.SubElement(inertial, "inertia", {name: f"{moment:.12g}" for name, moment in upper})
         visuals, collisions = write_meshes(item, target, part, body)
         for mesh in (*visuals, *collisions):

@@ -112,7 +112,7 @@ def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
         "qcode": _QCODES.get(row.category, _QCODES[""]),
         "rigid_body_count": len(parts),
         "asset_extents": Gf.Vec3f(*np.ptp(corners, axis=0).tolist()),
-        "mass": sum(body.inertia.mass for body in parts),
+        "mass": sum(float(body.filled.mass) for body in parts),
     }
 
 
@@ -134,10 +134,9 @@ def _add_body(stage: Any, path: str, part: int, body: Body, shown: Sequence[Look
     _add_label(prim, "class", body.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
     mass = UsdPhysics.MassAPI.Apply(prim)
-    inertia = body.inertia
-    mass.CreateMassAttr(inertia.mass)
-    mass.CreateCenterOfMassAttr(Gf.Vec3f(*inertia.center.tolist()))
-    moments, axes = np.linalg.eigh(inertia.tensor)  # about the principal axes
+    mass.CreateMassAttr(float(body.filled.mass))
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*body.filled.center_mass.tolist()))
+    moments, axes = np.linalg.eigh(body.filled.moment_inertia)  # about the principal axes
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
