@@ -81,7 +81,7 @@ def occlusion_in_detail(
 
 
 @inlined
-def _hidden(at, facing, px, py, pz, nx, ny, nz, area, first, last, detail, is_far):
+def _hidden(at, facing, columns, first, last, detail, is_far):
     """Compute the share that discs first to last hide, those within `detail` or those beyond, with
     a soft border.
 
@@ -91,6 +91,7 @@ def _hidden(at, facing, px, py, pz, nx, ny, nz, area, first, last, detail, is_fa
     """
     ax, ay, az = at
     fx, fy, fz = facing
+    px, py, pz, nx, ny, nz, area = columns
     scale = np.float32(1.0 / (detail * detail))
     sign = np.float32(1.0 if is_far else -1.0)
     offset = np.float32(0.0 if is_far else 1.0)
@@ -118,12 +119,9 @@ def _single(vectors, i):
 @kernel(fastmath=True)
 def _far(at, facing, columns, detail):
     hidden = np.empty(len(at))
-    px, py, pz, nx, ny, nz, area = columns
     for i in range(len(at)):
         here, up = _single(at, i), _single(facing, i)
-        hidden[i] = _hidden(
-            here, up, px, py, pz, nx, ny, nz, area, 0, len(px), detail, True
-        )  # fmt: skip
+        hidden[i] = _hidden(here, up, columns, 0, len(columns[0]), detail, True)
     return hidden
 
 
@@ -131,7 +129,6 @@ def _far(at, facing, columns, detail):
 def _near(at, facing, columns, cells, detail):
     """Return the columns in the order of the cells."""
     hidden = np.zeros(len(at))
-    px, py, pz, nx, ny, nz, area = columns
     cube = cells.first
     for i in range(len(at)):
         here, up = _single(at, i), _single(facing, i)
@@ -142,9 +139,7 @@ def _near(at, facing, columns, cells, detail):
             for y in range(y_low, y_end):
                 row = (x * cells.shape[1] + y) * cells.shape[2]
                 first, last = cube[row + z_low], cube[row + z_end]
-                hidden[i] += _hidden(
-                    here, up, px, py, pz, nx, ny, nz, area, first, last, detail, False
-                )
+                hidden[i] += _hidden(here, up, columns, first, last, detail, False)
     return hidden
 
 

@@ -157,8 +157,7 @@ def _covers(points, normals, part, source, sources, cells, reach):
     counts = np.empty(len(points), np.int64)
     count = np.empty(sources)
     for i in range(len(points)):
-        for s in range(sources):
-            count[s] = 0.0
+        count[:] = 0.0
         normal = vector(normals, i)
         for n in range(near(cells, points, vector(points, i), reach, counts)):
             j = counts[n]
