@@ -146,7 +146,14 @@ def markdown(result: RunEvaluation) -> str:
         f"{f', finer ones on {run.finer}^3' if run.finer else ''}, labels by {poses}, "
         f"{'all' if run.states is None else f'at most {run.states}'} random states an object."
     )
-    return "\n".join([about, *_left_out(result), "", tables([result]).rstrip(), *_details(result)])
+    lines = [about]
+    if (left := result.left_out) is not None:
+        lines.append(
+            f"Measured as the authors' release does; left out for want of a surface: label IoU of "
+            f"{left.instances_label_iou} instances, EPE of {left.instances_epe} instances and "
+            f"{left.parts_epe} true parts."
+        )
+    return "\n".join([*lines, "", tables([result]).rstrip(), *_details(result)])
 
 
 def tables(results: Sequence[RunEvaluation], refused: Mapping[str, str] | None = None) -> str:
@@ -340,22 +347,14 @@ def _objects(result: Evaluation) -> list[str]:
     columns = [m for m in _OF_OBJECTS if any(m.name in row.values for row in result.measures)]
     table = []
     for name, values in rows.items():
-        means = [[row[m.name] for row in values if m.name in row] for m in columns]
-        cells = [
-            m.factor * np.mean(v) if v else np.nan for m, v in zip(columns, means, strict=True)
-        ]
-        table.append((name, len(values), cells))
-    table.sort(key=lambda row: row[2][:1])
-    head = [["object", "instances", *(m.header for m in columns)]]
-    lines = [
-        [
-            name.replace("|", "\\|"),
-            f"{count}",
-            *(f"{x:.{m.decimals}f}" for m, x in zip(columns, cells, strict=True)),
-        ]
-        for name, count, cells in table
-    ]
-    return ["", *_aligned(head + lines)] if lines else []
+        known = [(m, [row[m.name] for row in values if m.name in row]) for m in columns]
+        means = [(m, m.factor * np.mean(v) if v else np.nan) for m, v in known]
+        cells = [name.replace("|", "\\|"), f"{len(values)}"]
+        cells += [f"{mean:.{m.decimals}f}" for m, mean in means]
+        table.append(([mean for _, mean in means[:1]], cells))
+    table.sort(key=lambda row: row[0])
+    head = ["object", "instances", *(m.header for m in columns)]
+    return ["", *_aligned([head, *(cells for _, cells in table)])] if table else []
 
 
 def _joint_lines(joints: Sequence[JointLine]) -> list[str]:
@@ -372,15 +371,3 @@ def _joint_lines(joints: Sequence[JointLine]) -> list[str]:
         share = f"{joint.predicted} of {joint.states}"
         lines.append(f"| joint {joint.joint}, {joint.kind} | {fit} | {share} |")
     return lines
-
-
-def _left_out(result: Evaluation) -> list[str]:
-    """Return lines on what the release's protocol does not count."""
-    if result.left_out is None:
-        return []
-    left = result.left_out
-    return [
-        f"Measured as the authors' release does; left out for want of a surface: label IoU of "
-        f"{left.instances_label_iou} instances, EPE of {left.instances_epe} instances and "
-        f"{left.parts_epe} true parts."
-    ]
