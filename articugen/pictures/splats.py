@@ -139,23 +139,20 @@ def _close(depth, values, step):
     Of a random covering a few gaps stay open, through which one sees things behind or nothing;
     beside an object's outline, nearer pixels are in the minority.
     """
-    was, before = depth.copy(), values.copy()
+    was, before, total = depth.copy(), values.copy(), np.empty(values.shape[2])
     for row in range(2, depth.shape[0] - 2):
         for column in range(2, depth.shape[1] - 2):
             border = was[row, column] - step
             count, away = 0, 0.0
+            total[:] = 0.0
             for i in range(row - 2, row + 3):
                 for j in range(column - 2, column + 3):
                     if was[i, j] < border:
                         count += 1
                         away += was[i, j]
-            if count < MOST_AROUND:
-                continue
-            depth[row, column] = away / count
-            for k in range(values.shape[2]):
-                total = 0.0
-                for i in range(row - 2, row + 3):
-                    for j in range(column - 2, column + 3):
-                        if was[i, j] < border:
-                            total += before[i, j, k]
-                values[row, column, k] = total / count
+                        for k in range(len(total)):
+                            total[k] += before[i, j, k]
+            if count >= MOST_AROUND:
+                depth[row, column] = away / count
+                for k in range(len(total)):
+                    values[row, column, k] = total[k] / count
