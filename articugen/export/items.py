@@ -84,15 +84,6 @@ def of_splits(data: DataSet) -> Iterator[Item]:
         yield Item(file_name(name), data.split(name))
 
 
-def validation(train: DataSet) -> DataSet:
-    """Return the first tenth of the training objects: what trainers validate on where no split is
-    for it.
-
-    They stay in training, as in PPD's release."""
-    objects = train.objects
-    return train.of(*objects[: -(-len(objects) // 10)])
-
-
 def canonical(rows: DataSet) -> Row:
     """Return the canonical pose among an object's instances; LeftOut where it is not among them."""
     for row in rows:

@@ -7,7 +7,7 @@
 import numpy as np
 
 from articugen.export.formats import Format
-from articugen.export.items import Item, file_name, instance_name, of_instances, validation
+from articugen.export.items import Item, file_name, instance_name, of_instances
 from articugen.export.labels import inside
 from articugen.export.target import Files, Target
 from articugen.store.dataset import DataSet
@@ -26,8 +26,10 @@ def _write(item: Item, target: Files) -> None:
 
 def _finish(data: DataSet, target: Target) -> None:
     lists = {split: [instance_name(row) for row in data.split(split)] for split in data.splits}
-    if "train" in lists:
-        lists.setdefault("val", [instance_name(row) for row in validation(data.split("train"))])
+    if "train" in lists:  # a tenth of its objects, which stay in it, as in PPD's release
+        train = data.split("train")
+        some = train.of(*train.objects[: -(-len(train.objects) // 10)])
+        lists.setdefault("val", [instance_name(row) for row in some])
     for split, names in lists.items():
         text = "\n".join(names)  # an empty line at the end is one more object to their loaders
         target.write(f"{file_name(data.category)}/{file_name(split)}.lst", text.encode())

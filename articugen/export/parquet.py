@@ -181,7 +181,7 @@ def _finish(data: DataSet, target: Target) -> None:
         target.write(_PREVIEW, _moving(data))
     licence = data.manifest.licence if data.manifest else "unknown"
     known = licence.lower() in _LICENCES
-    size = next((name for most, name in _SIZES if len(data) < most), _SIZES[-1][1])
+    size = next((name for most, name in _SIZES.items() if len(data) < most), _SIZES[1e7])
     counts = [
         f"| {file_name(name)} | {len(data.split(name).objects):,} | {count:,} |"
         for name, count in data.splits.items()
@@ -209,13 +209,7 @@ _PREVIEW = "preview.gif"
 _LICENCES = {"mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "apache-2.0"}
 """Those that the hub knows by these names."""
 
-_SIZES = (
-    (1e3, "n<1K"),
-    (1e4, "1K<n<10K"),
-    (1e5, "10K<n<100K"),
-    (1e6, "100K<n<1M"),
-    (1e7, "1M<n<10M"),
-)
+_SIZES = {1e3: "n<1K", 1e4: "1K<n<10K", 1e5: "10K<n<100K", 1e6: "100K<n<1M", 1e7: "1M<n<10M"}
 """The hub's words for numbers of rows below these."""
 
 _CARD = """---
