@@ -73,7 +73,11 @@ def _checked(task: ObjectRef | Path, *, pictures: bool) -> Checked:
     """Check one; whatever it does to us is its problem."""
     blank = _blank(task, "")
     try:
-        obj = _of_mesh(task) if isinstance(task, Path) else readers.load(task)
+        if isinstance(task, Path):  # a mesh is a model of one part
+            link = Link(task.stem, read.read_mesh(task))
+            obj = ArticulatedObject(task.stem, "", (link,), (), np.eye(4), "")
+        else:
+            obj = readers.load(task)
         checked = check_model(obj, blank.name, blank.path)
         return replace(checked, picture=picture(obj) if pictures else "")
     except ArticugenError as error:
@@ -85,9 +89,3 @@ def _checked(task: ObjectRef | Path, *, pictures: bool) -> Checked:
             raise fault from error
         problem = printable(f"cannot be checked ({type(error).__name__}: {error})")[:300]
     return replace(blank, problem=problem)
-
-
-def _of_mesh(path: Path) -> ArticulatedObject:
-    """Return a mesh file as a model of one part."""
-    link = Link(path.stem, read.read_mesh(path))
-    return ArticulatedObject(path.stem, "", (link,), (), np.eye(4), "")

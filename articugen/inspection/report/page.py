@@ -134,19 +134,17 @@ def document(
         el("style", Markup(style)),
     )
     links = [el("li", el("a", heading, href=f"#{name}")) for name, heading, _ in parts]
+    shown = [
+        el("section", el("h2", heading, id_=f"{name}-title"), inside,
+           id_=name, aria_labelledby=f"{name}-title")
+        for name, heading, inside in parts
+    ]  # fmt: skip
     body = el(
         "body",
         el("a", "Skip to the report", href=f"#{parts[0][0]}", class_="skip"),
         header,
         el("nav", el("ul", *links), aria_label="Sections"),
-        el(
-            "main",
-            *(
-                el("section", el("h2", heading, id_=f"{name}-title"), inside,
-                   id_=name, aria_labelledby=f"{name}-title")
-                for name, heading, inside in parts
-            ),
-        ),
+        el("main", *shown),
         el("footer", el("p", f"Written by articugen {VERSION} from {basis}. {complete}")),
         el("script", Markup(data), type="application/json", id_="scene") if data else None,
         el("script", Markup(script)),

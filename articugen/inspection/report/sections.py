@@ -20,7 +20,7 @@ from articugen.inspection.report.markup import (  # isort: skip
 from articugen.inspection.report.truth import Measured
 from articugen.inspection.report.turnable import Turnable
 from articugen.pictures.contact_sheet import Portraits
-from articugen.store.manifest import Manifest, Rejection
+from articugen.store.manifest import Manifest
 
 MOST_JOINTS = 24  # joints of one number whose histograms are drawn
 
@@ -265,11 +265,7 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
 def left_out(manifest: Manifest | None) -> Markup:
     if manifest is None:
         return hint("Without a manifest there is no telling what was left out.")
-    kinds: tuple[tuple[str, Sequence[Rejection]], ...] = (
-        ("failed", manifest.failed),
-        ("rejected", manifest.rejected),
-        ("skipped", manifest.skipped),
-    )
+    kinds = [(word, getattr(manifest, word)) for word in ("failed", "rejected", "skipped")]
     rows = [[row.key.object_id, row.key.split, word, row.reason]
             for word, out in kinds for row in out]  # fmt: skip
     if not rows:

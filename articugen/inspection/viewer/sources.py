@@ -38,14 +38,6 @@ class Source:
     shown: Callable[[str], Shown]
 
 
-def _stored(data: DataSet) -> Source:
-    """Return the objects of a data set, in the order of its shards."""
-    objects = [name for name, _ in data.by_object()]
-    if not objects:
-        raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
-    return Source(str(data.path), objects, partial(_shown_as_stored, data))
-
-
 def _shown_as_stored(data: DataSet, object_id: str) -> Shown:
     its = data.of(object_id)
     path = its.shards[0]
@@ -133,7 +125,10 @@ def source_of(
     place = Path(path)
     patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
     if place.suffix == ".h5" or any(match for pattern in patterns for match in place.glob(pattern)):
-        return _stored(open_data_set(place))
+        data = open_data_set(place)
+        if not data.objects:
+            raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
+        return Source(str(data.path), data.objects, partial(_shown_as_stored, data))
     if not place.exists() and path not in source_files():
         raise InvalidSource(
             f"{path}: there is no such shard, folder, URDF or source; correct its path"
