@@ -1,6 +1,6 @@
 """Pictures of what learners reconstruct, beside the truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from articugen.core.schema import Instance
 from articugen.evaluation.evaluate import objects_of, tested
 from articugen.evaluation.reconstruction import Reconstruction, truth
 from articugen.evaluation.results import Evaluation
-from articugen.pictures.contact_sheet import evenly
+from articugen.pictures.contact_sheet import evenly, opening
 from articugen.pictures.layout import GREY, Caption, Row, in_columns, save, sheet
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, solid_portrait, tile_camera
 from articugen.pictures.solids import ColouredMesh, arrow
@@ -64,12 +64,7 @@ class Names:
 
 def by_opening(instances: Sequence[Instance]) -> list[Instance]:
     """Return the canonical instance, then the others by how far their joints have moved."""
-
-    def moved(i: Instance) -> float:
-        limits = np.where(i.joint_upper == 0.0, 1.0, i.joint_upper)
-        return -1.0 if i.state_index == 0 else float(np.abs(i.joint_state / limits).sum())
-
-    return sorted(instances, key=moved)
+    return sorted(instances, key=lambda i: opening(i.state_index, i.joint_state, i.joint_upper))
 
 
 def draw_reconstructions(
@@ -222,22 +217,20 @@ def solid_of(shape: Reconstruction, names: Names) -> ColouredMesh:
 
 def _changes(
     instance: Instance, first: Reconstruction, predicted: Reconstruction, names: Names
-) -> list[float | None]:
-    """Return how far each joint has moved by the prediction, positive about the true axis; None
+) -> Iterator[float | None]:
+    """Yield how far each joint has moved by the prediction, positive about the true axis; None
     where no part stands for it, and nothing at all where the method knows no joints."""
-    changes: list[float | None] = []
     if first.joints is None or predicted.joints is None:
-        return changes
+        return
     for j, kind in enumerate(instance.joint_kind.tolist()):
         i = names.part_of(j, first)
         if i is None or predicted.joints.kind[i] != kind:
-            changes.append(None)
-            continue
-        changes.append(predicted.joints.change_since(first.joints, i, instance.joint_axis[j]))
-    return changes
+            yield None
+        else:
+            yield predicted.joints.change_since(first.joints, i, instance.joint_axis[j])
 
 
-def _caption(instance: Instance, changes: Sequence[float | None] | Floats) -> Caption:
+def _caption(instance: Instance, changes: Iterable[float | None]) -> Caption:
     """Return each change after a dot in the colour of its part; a question mark where there is
     none."""
     texts = []

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from articugen.core.arrays import Floats
 from articugen.core.colours import colour_of
@@ -27,7 +28,7 @@ from articugen.pictures.layout import TILE, Caption, Row, check_picture, save, s
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, tile_camera
 from articugen.pictures.shading import Picture
 from articugen.pictures.surfels import Surfels
-from articugen.store.shards import Shard, open_shard
+from articugen.store.shards import open_shard
 
 T = TypeVar("T")
 
@@ -148,7 +149,8 @@ def _read(chosen: Chosen, states: int, pooling: int) -> tuple[tuple[Instance, ..
     with ExitStack() as stack:
         paths = {path for path, _ in chosen.places}
         opened = {path: stack.enter_context(open_shard(path)) for path in paths}
-        moved = {path: _moved(shard) for path, shard in opened.items()}
+        names = ("state_index", "joint_state", "joint_upper")
+        moved = {path: opening(*map(shard.read, names)) for path, shard in opened.items()}
         places = sorted(chosen.places, key=lambda place: moved[place[0]][place[1]])
         drawn, pool = evenly(places, states), evenly(places, pooling)
         read = {(p, index): opened[p].instance(index) for p, index in {*drawn, *pool}}
@@ -161,12 +163,11 @@ def evenly(items: Sequence[T], count: int) -> list[T]:
     return [items[round(i)] for i in picked]
 
 
-def _moved(shard: Shard) -> Floats:
-    """Return (n,) how far the joints of each row have moved, the canonical pose before all
-    others."""
-    q, upper = shard.read("joint_state"), shard.read("joint_upper")
-    far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=1)
-    return np.where(shard.read("state_index") == 0, -np.inf, far)
+def opening(state: ArrayLike, q: Floats, upper: Floats) -> Floats:
+    """Return (...) how far joints (..., J) have moved by their upper limits in the states (...) of
+    these numbers, the canonical pose before all others."""
+    far = np.abs(q / np.where(upper == 0.0, 1.0, upper)).sum(axis=-1)
+    return np.where(np.equal(state, 0), -np.inf, far)
 
 
 def _state(instance: Instance, joint: int) -> str:
