@@ -216,7 +216,6 @@ def _one_way(cloud, other):  # pragma: no cover - compiled
 
 def rows(alike: Likeness) -> Sequence[tuple[str, str, str]]:
     """Name, first set, second set: the lines of a table."""
-
     a, b = alike.first, alike.second
     return [
         ("objects", str(len(a.chosen)), str(len(b.chosen))),

@@ -49,16 +49,13 @@ def oriented_points(instance: Instance) -> OrientedPoints:
 def instance_of(row: Row) -> Instance:
     """Return what pictures show of a row: its surface points and its joints."""
     names = ("kind", "parent", "state", "lower", "upper", "axis", "pivot")
-    fields = [
-        *(f"joint_{n}" for n in names),
-        *(f"surface_{n}" for n in ("points", "normals", "part")),
-    ]
+    fields = [f"joint_{name}" for name in names]
+    fields += ["surface_points", "surface_normals", "surface_part", "part_motion"]
     return Instance(
         object_id=row.object_id,
         state_index=row.state_index,
         center=row.center,
         scale=row.scale,
-        part_motion=row.stored("part_motion"),
         **{name: row.stored(name) for name in fields},
     )
 
