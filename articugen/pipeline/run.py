@@ -30,7 +30,7 @@ from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
 from articugen.store import croissant
 from articugen.store.bucket import Remote, check_can_be_shared
-from articugen.store.manifest import Manifest, Timings
+from articugen.store.manifest import UNMADE, Manifest, Timings
 from articugen.store.outcome import Outcome
 
 _KEPT = "finished objects are kept, the same command goes on after them"
@@ -292,10 +292,8 @@ def report_of(outcome: Outcome, *, reused: bool) -> ObjectReport:
         shard=entry.shard if entry else "",
         instances=entry.instances if entry else 0,
         seconds=entry.seconds if entry else 0.0,
-        rejected=outcome.rejected.reason if outcome.rejected else None,
         reused=reused,
-        skipped=outcome.skipped.reason if outcome.skipped else None,
-        failed=outcome.failed.reason if outcome.failed else None,
+        **{kind: (unmade := getattr(outcome, kind)) and unmade.reason for kind in UNMADE},
     )
 
 

@@ -9,6 +9,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,6 +68,8 @@ class _Entries(Record):
 
 LISTS = tuple(_Entries.model_fields)
 """Of a manifest, that may be in pages."""
+UNMADE = ("rejected", "skipped", "failed")
+"""Those of what is not in the data, as an `Outcome` calls them, too."""
 
 
 class Manifest(Record):
@@ -115,8 +118,8 @@ class Manifest(Record):
         counts = (
             f"{len(self.objects):,} objects, {sum(s.instances for s in self.shards):,} instances"
         )
-        lists = {"rejected": self.rejected, "skipped": self.skipped, "failed": self.failed}
-        out = "".join(f", {len(some):,} {name}" for name, some in lists.items() if some)
+        lists = ((name, getattr(self, name)) for name in UNMADE)
+        out = "".join(f", {len(some):,} {name}" for name, some in lists if some)
         return printable(
             f"Manifest({self.category} from {self.source}: {counts}{out}; "
             f"content {self.content_sha256[:16]})"
@@ -176,41 +179,24 @@ class Manifest(Record):
         return Manifest(**values)
 
     @staticmethod
-    def of(
-        outcomes: Iterable[Outcome],
-        *,
-        category: str,
-        source: str,
-        licence: str,
-        recipe: str,
-        seed: int,
-        timings: Timings,
-        shortfall: str | None = None,
-    ) -> "Manifest":
-        """Return the manifest of a finished run: of these outcomes, made here and now by this
-        code."""
+    def of(outcomes: Iterable[Outcome], *, recipe: str, **others: Any) -> "Manifest":
+        """Return the manifest of a finished run: of these outcomes, made here and now by this code;
+        `others` are its category, source, licence, seed, timings and, perhaps, shortfall."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
-            category=category,
-            source=source,
-            licence=licence,
             recipe=recipe,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
-            seed=seed,
             articugen_version=code_version(),
             commit=this_commit(),
             versions=library_versions(),
             machine=this_machine(),
             objects=objects,
             shards=tuple(sorted((o.shard for o in outcomes if o.shard), key=lambda s: s.name)),
-            rejected=tuple(o.rejected for o in outcomes if o.rejected),
-            skipped=tuple(o.skipped for o in outcomes if o.skipped),
-            failed=tuple(o.failed for o in outcomes if o.failed),
-            shortfall=shortfall,
             content_sha256=content_of(objects),
-            timings=timings,
+            **{kind: tuple(filter(None, map(attrgetter(kind), outcomes))) for kind in UNMADE},
+            **{"shortfall": None, **others},
         )
 
     @property
@@ -219,9 +205,7 @@ class Manifest(Record):
         shards = {shard.name: shard for shard in self.shards}
         return (
             *(Outcome(made=entry, shard=shards[entry.shard]) for entry in self.objects),
-            *(Outcome(rejected=rejection) for rejection in self.rejected),
-            *(Outcome(skipped=rejection) for rejection in self.skipped),
-            *(Outcome(failed=rejection) for rejection in self.failed),
+            *(Outcome(**{kind: entry}) for kind in UNMADE for entry in getattr(self, kind)),
         )
 
     def write(self, folder: Path) -> None:

@@ -158,24 +158,15 @@ class Outcome(Record):
         return self
 
     @staticmethod
-    def of_shard(
-        key: Key,
-        record: ShardRecord,
-        *,
-        input_sha256: str,
-        notes: tuple[str, ...] = (),
-        seconds: float = 0.0,
-    ) -> "Outcome":
+    def of_shard(key: Key, record: ShardRecord, **others: Any) -> "Outcome":
         """Return the outcome of an object whose instances, and only those, are in the shard
-        `record`."""
+        `record`; `others` are its entry's input_sha256 and, perhaps, notes and seconds."""
         entry = ObjectEntry(
             key=key,
-            input_sha256=input_sha256,
             shard=record.name,
             instances=record.instances,
             content_sha256=content_sha256(record.content),
-            notes=notes,
-            seconds=seconds,
+            **others,
         )
         shard = ShardEntry.model_validate(record, from_attributes=True)
         return Outcome(made=entry, shard=shard)
