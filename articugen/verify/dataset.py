@@ -231,12 +231,7 @@ def recipe_of(text: str) -> Recipe | None:
 def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
     """Return the attributes of every shard by the manifest."""
     recipe = recipe_of(manifest.recipe)
-    expected: dict[str, str | int] = {
-        "category": manifest.category,
-        "source": manifest.source,
-        "licence": manifest.licence,
-        "seed": manifest.seed,
-    }
+    expected = {name: getattr(manifest, name) for name in ("category", "source", "licence", "seed")}
     return expected | ({"recipe": recipe.for_one_object().text()} if recipe else {})
 
 

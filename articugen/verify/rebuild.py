@@ -25,10 +25,10 @@ from articugen.instance.again import resolved
 from articugen.instance.preparing import prepare
 from articugen.pipeline.folder import is_unfinished
 from articugen.sources.readers import digest
+from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
 from articugen.store import croissant
-from articugen.store.columns import Attribute
-from articugen.store.manifest import LISTS, MANIFEST_NAME, Manifest, Timings
+from articugen.store.manifest import LISTS, MANIFEST_NAME, UNMADE, Manifest, Timings
 from articugen.store.manifest_pages import MOST_BYTES, is_page_name
 from articugen.store.outcome import Key, ObjectEntry, Outcome, Rejection, ShardEntry, is_shard_name
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
@@ -37,7 +37,9 @@ from articugen.verify.replay import differences
 
 R = TypeVar("R", bound=BaseModel)
 
-_ALIKE = ("category", "source", "licence", "recipe", "recipe_sha256", "seed", "generator")
+_DECIDES = ("recipe_sha256", "seed", "generator")
+"""What of a key all objects have in common."""
+_ALIKE = ("category", "source", "licence", "recipe", *_DECIDES)
 """What all shards of a data set must say alike."""
 
 _NO_RUN = Timings(seconds=0.0, instances_per_second=0.0, peak_memory_bytes=0, workers=1)
@@ -57,14 +59,18 @@ def rebuild(folder: Path, *, jobs: int) -> str:
 
 @dataclass(frozen=True)
 class _Witness:
-    """A shard that is whole, and what it says of itself."""
+    """A shard that is whole, and what it says of itself: texts, but for the seed."""
 
     record: ShardRecord
-    about: Mapping[str, Attribute]
+    about: Mapping[str, Any]
 
     @property
     def object_id(self) -> str:
         return self.record.content[0][0]
+
+    def ref(self) -> ObjectRef:
+        """Return the reference to its object, or InvalidSource."""
+        return open_source(self.about["source"]).find(self.about["category"], self.object_id)
 
 
 def _rebuilt(folder: Path, jobs: int) -> str:
@@ -94,7 +100,7 @@ def _rebuilt(folder: Path, jobs: int) -> str:
             )
     others = {
         entry.key.object_id: Outcome.model_validate({kind: entry})
-        for kind in ("rejected", "skipped", "failed")
+        for kind in UNMADE
         for entry in _entries(known, kind, Rejection)
         if _is_of(entry.key, about) and entry.key.object_id not in holders
     }
@@ -103,13 +109,10 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     )
     manifest = Manifest.of(
         [*outcomes.values(), *others.values()],
-        category=str(about["category"]),
-        source=str(about["source"]),
-        licence=str(about["licence"]),
-        recipe=_recipe(known, about) or str(about["recipe"]),
-        seed=int(about["seed"]),
+        recipe=_recipe(known, about) or about["recipe"],
         timings=_NO_RUN,
         shortfall=shortfall if isinstance(shortfall, str) else None,
+        **{name: about[name] for name in ("category", "source", "licence", "seed")},
     )
     write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
     manifest.write(folder)
@@ -131,15 +134,16 @@ def _witness(folder: Path, name: str) -> _Witness | None:
     path = folder / name
     try:
         with open_shard(path) as shard:
-            content, about = shard.content(), dict(shard.attributes)
+            content, about = shard.content(), shard.attributes
         record = ShardRecord(name, sha256_of(path), path.stat().st_size, len(content), content)
     except (CorruptShard, OSError):
         return None
-    about.setdefault("generator", about["articugen_version"])  # where earlier versions wrote it
-    return _Witness(record, about) if len({row[0] for row in content}) == 1 else None
+    about = {"generator": about["articugen_version"], **about}  # where earlier versions wrote it
+    texts = {name: str(value) for name, value in about.items() if name != "seed"}
+    return _Witness(record, about | texts) if len({row[0] for row in content}) == 1 else None
 
 
-def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Attribute]:
+def _common(whole: Mapping[str, _Witness]) -> Mapping[str, Any]:
     """Return what all shards say alike; ArticugenError if there is none, or they do not."""
     if not whole:
         raise ArticugenError(
@@ -197,11 +201,11 @@ def _entries(known: dict[str, Any], name: str, kind: type[R]) -> list[R]:
     return entries
 
 
-def _is_of(key: Key, about: Mapping[str, Attribute]) -> bool:
-    return all(getattr(key, n) == about[n] for n in ("recipe_sha256", "seed", "generator"))
+def _is_of(key: Key, about: Mapping[str, Any]) -> bool:
+    return all(getattr(key, name) == about[name] for name in _DECIDES)
 
 
-def _recipe(known: dict[str, Any], about: Mapping[str, Attribute]) -> str | None:
+def _recipe(known: dict[str, Any], about: Mapping[str, Any]) -> str | None:
     """Return the whole recipe, of which shards have what decides one object; None if damaged."""
     text = str(known.get("recipe"))
     recipe = recipe_of(text)
@@ -221,13 +225,11 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
         return False
     if key.object_id != witness.object_id or key.split != witness.about["split"]:
         return False
-    source, category = str(witness.about["source"]), str(witness.about["category"])
-    if key.ref != f"{source}/{key.object_id}":
+    if key.ref != f"{witness.about['source']}/{key.object_id}":
         return key.ref == entry.input_sha256
     try:
-        ref = open_source(source).find(category, key.object_id)
-        code = ref.generator_by(str(witness.about["recipe"]))
-        recipe = Recipe.of_text(str(witness.about["recipe"]))
+        ref, recipe = witness.ref(), Recipe.of_text(witness.about["recipe"])
+        code = ref.generator_by(witness.about["recipe"])
         colours = recipe is not None and recipe.shows_colours
         return code != key.generator or digest(ref, colours=colours) == entry.input_sha256
     except ArticugenError:  # nothing contradicts it
@@ -237,17 +239,15 @@ def _agrees(outcome: Outcome, witness: _Witness | None) -> bool:
 def _proven(folder: Path, witness: _Witness) -> Outcome:
     """Return the outcome of an object of which only the shard says anything; ArticugenError if its
     source, or the code, is not what it was."""
-    about, object_id = witness.about, witness.object_id
-    source, category = str(about["source"]), str(about["category"])
-    ref = open_source(source).find(category, object_id)
-    code = ref.generator_by(str(about["recipe"]))
+    about, object_id, ref = witness.about, witness.object_id, witness.ref()
+    code = ref.generator_by(about["recipe"])
     if code != about["generator"]:
         raise ArticugenError(
             f"{object_id} was made by other code ({about['generator']}, this is "
             f"{code}); repair it there, or fetch manifest.json again"
         )
-    recipe = Recipe.model_validate_json(str(about["recipe"]))
-    prepared = prepare(resolved(ref, recipe), recipe, int(about["seed"]))
+    recipe = Recipe.model_validate_json(about["recipe"])
+    prepared = prepare(resolved(ref, recipe), recipe, about["seed"])
     with open_shard(folder / witness.record.name) as shard:
         stored = shard.instance(len(shard) - 1)
     for _, sentence in differences(prepared, stored):
@@ -255,12 +255,9 @@ def _proven(folder: Path, witness: _Witness) -> Outcome:
             f"{object_id}: {sentence}; what it was made from is not what is here now"
         )
     key = Key(
-        split=str(about["split"]),
         object_id=object_id,
-        ref=f"{source}/{object_id}" if ref.is_made else prepared.obj.sha256,
-        recipe_sha256=str(about["recipe_sha256"]),
-        seed=int(about["seed"]),
-        generator=str(about["generator"]),
+        ref=f"{about['source']}/{object_id}" if ref.is_made else prepared.obj.sha256,
+        **{name: about[name] for name in ("split", *_DECIDES)},
     )
     return Outcome.of_shard(
         key, witness.record, input_sha256=prepared.obj.sha256, notes=prepared.obj.notes
