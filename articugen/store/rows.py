@@ -228,9 +228,7 @@ class Row:
         """
         if name not in self.fields:
             raise InvalidArgument(f"{self.object_id}: {self._why_not(name)}")
-        if name not in self._known:
-            self._learn([name])
-        return self._known[name]
+        return self._one(name)
 
     def _why_not(self, name: str) -> str:
         field = schema.field_of(name)
@@ -334,25 +332,16 @@ class Row:
         self._learn(["scale", *(f"joint_{name}" for name in names)])
         fields: dict[str, Any] = {name: self._known.get(f"joint_{name}") for name in names}
         fields["name"] = fields["name"] or ("",) * len(fields["kind"])
-        kinds = [str(JointKind(kind)) for kind in fields["kind"]]
-        metres = [self.scale if kind == "prismatic" else 1.0 for kind in kinds]
-        return tuple(
-            RowJoint(
-                name=fields["name"][j],
-                kind=kind,
-                state=float(fields["state"][j]) * metres[j],
-                lower=float(fields["lower"][j]) * metres[j],
-                upper=float(fields["upper"][j]) * metres[j],
-                state_unit=float(fields["state"][j]),
-                lower_unit=float(fields["lower"][j]),
-                upper_unit=float(fields["upper"][j]),
-                axis=fields["axis"][j],
-                pivot=fields["pivot"][j],
-                parent=int(fields["parent"][j]),
-                part=j + 1,
-            )
-            for j, kind in enumerate(kinds)
-        )
+        joints: list[RowJoint] = []
+        for j, number in enumerate(fields["kind"]):
+            one, kind = {name: fields[name][j] for name in names}, str(JointKind(number))
+            metres = self.scale if kind == "prismatic" else 1.0
+            for name in ("state", "lower", "upper"):
+                one[f"{name}_unit"] = float(one[name])
+                one[name] = one[f"{name}_unit"] * metres
+            one |= {"kind": kind, "parent": int(one["parent"]), "part": j + 1}
+            joints.append(RowJoint(**one))
+        return tuple(joints)
 
     @cached_property
     def parts(self) -> tuple[RowPart, ...]:

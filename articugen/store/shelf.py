@@ -22,24 +22,19 @@ _OPEN_FILES = 64
 def shelf_at(path: str | Path) -> "Shelf":
     """Return the shards of a folder, or one shard, on the disk or elsewhere; raises as
     `dataset.open`."""
-    if is_url(path):
-        remote = Remote(str(path))
-        if remote.name.endswith(".h5"):
-            return Shelf(remote, (_entry_of(remote),), None)
-        manifest = Manifest.in_bucket(folder_at(remote.url))
-        if manifest is None:
-            raise CorruptShard(
-                f"{remote}: has no {MANIFEST_NAME}; make it with generate, and once more "
-                "where that was cut short"
-            )
-        return Shelf(remote, tuple(_entries(remote, manifest)), manifest)
-    path = Path(path)
-    if path.is_file():
-        return Shelf(path, (_entry_of(path),), None)
-    if (path / MANIFEST_NAME).exists():
-        manifest = Manifest.read(path)
-        return Shelf(path, tuple(_entries(path, manifest)), manifest)
-    return Shelf(path, tuple(map(_entry_of, _shards_in(path))), None)
+    place = Remote(str(path)) if is_url(path) else Path(path)
+    is_remote = isinstance(place, Remote)
+    if place.name.endswith(".h5") if is_remote else place.is_file():
+        return Shelf(place, (_entry_of(place),), None)
+    if not is_remote and not (place / MANIFEST_NAME).exists():
+        return Shelf(place, tuple(map(_entry_of, _shards_in(place))), None)
+    manifest = Manifest.in_bucket(folder_at(place.url)) if is_remote else Manifest.read(place)
+    if manifest is None:
+        raise CorruptShard(
+            f"{place}: has no {MANIFEST_NAME}; make it with generate, and once more where that was "
+            "cut short"
+        )
+    return Shelf(place, tuple(_entries(place, manifest)), manifest)
 
 
 @dataclass(frozen=True)
