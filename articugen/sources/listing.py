@@ -114,13 +114,11 @@ def called(object_id: str, base: Path, reader: str) -> list[Found]:
         return []
     there = base / object_id
     children = [there] if isdir(there) else [c for c in visible(base) if c.stem == object_id]
-    models: list[Found] = []
-    for child in children:
-        if reader:
-            models += readers.find_at(reader, child)
-        else:
-            models += _models_at(child, readers.detect(child))
-    return [f for f in models if f.object_id == object_id]
+    models = (
+        readers.find_at(reader, child) if reader else _models_at(child, readers.detect(child))
+        for child in children
+    )
+    return [f for of_child in models for f in of_child if f.object_id == object_id]
 
 
 def distinct(models: Sequence[Found], base: Path) -> list[Found]:

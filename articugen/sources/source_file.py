@@ -80,18 +80,13 @@ class SourceFile(Section):
 
         The source's own names go first, then what meta.json calls categories, then other names.
         """
-        categories = self.categories
-        for names_of in (
-            lambda listed: (listed,),
-            lambda listed: (
-                categories[listed].model_cat if len(categories[listed].model_cat) == 1 else ()
-            ),
-            lambda listed: (*categories[listed].model_cat, *categories[listed].aliases),
-        ):
-            for listed in categories:
-                if plain(name) in map(plain, names_of(listed)):
-                    return listed
-        return None
+        categories, wanted = self.categories.items(), plain(name)
+        ranked = [
+            *((listed, (listed,)) for listed, _ in categories),
+            *((listed, c.model_cat) for listed, c in categories if len(c.model_cat) == 1),
+            *((listed, (*c.model_cat, *c.aliases)) for listed, c in categories),
+        ]
+        return next((listed for listed, names in ranked if wanted in map(plain, names)), None)
 
     def words(self, name: str) -> set[str]:
         """Return all that the category called `name` may be called, as `plain` has it."""

@@ -30,6 +30,9 @@ from articugen.sources.refs import CategorySettings, ObjectRef
 from articugen.sources.shapes import Shapes
 from articugen.sources.urdf_check import checked_robot
 
+_Shown = dict[str, list[tuple[Any, Floats]]]
+"""By the name of each link its shapes (lxml) and where they stand in it, (4, 4)."""
+
 
 def load_urdf(
     path: Path,
@@ -127,10 +130,10 @@ def load_shortest(
     return replace(obj, notes=(*obj.notes, aside)) if urdfs[1:] else obj
 
 
-def _take_visuals(checked: Any) -> dict[str, list[tuple[Any, Floats]]]:
+def _take_visuals(checked: Any) -> _Shown:
     """Take out each link's visuals: shape (lxml) and T_link_visual. yourdfpy, which knows no
     capsules and builds no mesh here, gets a sphere instead."""
-    taken: dict[str, list[tuple[Any, Floats]]] = {}
+    taken: _Shown = {}
     for link in checked.findall("link"):
         shapes = taken[link.get("name")] = []
         for visual in link.findall("visual"):
@@ -210,18 +213,10 @@ def _limits(joint: Any) -> tuple[float, float]:
 
 
 class _Visuals:
-    """Builds the links' meshes of the shapes (lxml) of each and where they stand."""
+    """Builds the links' meshes of their shapes."""
 
-    def __init__(
-        self,
-        path: Path,
-        files: ModelFiles,
-        missing_ok: str,
-        shapes: dict[str, list[tuple[Any, Floats]]],
-    ) -> None:
-        self.path = path
-        self.missing_ok = missing_ok
-        self.shapes = shapes
+    def __init__(self, path: Path, files: ModelFiles, missing_ok: str, shapes: _Shown) -> None:
+        self.path, self.missing_ok, self.shapes = path, missing_ok, shapes
         self.left_out: list[str] = []
         self._builder = Shapes(
             path, files, [shape.tag for of_link in shapes.values() for shape, _ in of_link]

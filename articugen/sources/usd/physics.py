@@ -83,11 +83,8 @@ def body_of(prim: Any) -> Any | None:
     """Return the nearest rigid body that a prim is or lies in."""
     (UsdPhysics,) = pxr("UsdPhysics")
     while prim and not prim.IsPseudoRoot():
-        body = UsdPhysics.RigidBodyAPI(prim)
-        if (
-            prim.HasAPI(UsdPhysics.RigidBodyAPI)
-            and body.GetRigidBodyEnabledAttr().Get() is not False
-        ):
+        is_body, body = prim.HasAPI(UsdPhysics.RigidBodyAPI), UsdPhysics.RigidBodyAPI(prim)
+        if is_body and body.GetRigidBodyEnabledAttr().Get() is not False:
             return prim
         prim = prim.GetParent()
     return None

@@ -82,9 +82,6 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
 def _is_of_another(path: Path) -> bool:
     """Return whether a USD file is a layer or a mesh of a model that other files in reach show."""
     folder = path.parent
-    if has_urdf(folder) or has_urdf(folder.parent):
-        return True
-    for above in (folder, *folder.parents)[:_DEEP]:
-        if above.name.lower() in LAYER_FOLDERS and main_file(above.parent):
-            return True
-    return False
+    reach = (folder, *folder.parents)[:_DEEP]
+    layered = (f.name.lower() in LAYER_FOLDERS and main_file(f.parent) for f in reach)
+    return has_urdf(folder) or has_urdf(folder.parent) or any(layered)

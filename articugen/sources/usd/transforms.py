@@ -160,13 +160,9 @@ def _step(kind: str, value: Any, by: str) -> Floats:
             T[:3, :3] = product(turn, T[:3, :3])
     elif kind.startswith(("translate", "scale")):
         name = kind.removeprefix("translate").removeprefix("scale")
-        three = np.full(3, 0.0 if kind.startswith("translate") else 1.0)
-        which = list(range(3)) if not name else ["XYZ".index(name)]
-        three[which] = numbers(value, (3,) if not name else (), by, f"its {kind}")
-        if kind.startswith("translate"):
-            T[:3, 3] = three
-        else:
-            T[range(3), range(3)] = three
+        rows = np.array("XYZ".index(name) if name else (0, 1, 2))
+        columns = 3 if kind.startswith("translate") else rows
+        T[rows, columns] = numbers(value, rows.shape, by, f"its {kind}")
     else:
         raise InvalidSource(f"{by}: is placed by {quoted(kind)}, which is not known; flatten it")
     return T
