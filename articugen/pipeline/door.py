@@ -16,6 +16,9 @@ from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.manifest import Manifest
 
+_OF_RECIPE = ("objects", "states", "max_rejected", "movable", "canonical")
+"""Options that change the recipe."""
+
 
 def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
     """Return the data sets that are asked for, one a category; ArticugenError if there is no such
@@ -35,13 +38,7 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
             category=name,
             recipe=with_settings(
                 load_recipe(options.recipe, name, source), options.changes
-            ).with_options(
-                objects=options.objects,
-                states=options.states,
-                max_rejected=options.max_rejected,
-                movable=options.movable,
-                canonical=options.canonical,
-            ),
+            ).with_options(**{name: getattr(options, name) for name in _OF_RECIPE}),
             seed=options.seed,
             out=Remote(str(out)) / name if is_url(out) else Path(out) / name,
             jobs=default_jobs() if options.jobs is None else options.jobs,
@@ -57,15 +54,12 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
         raise InvalidArgument(
             f"--scheduler {options.scheduler} shares out the objects by itself: no --shard"
         )
-    if options.replace:
-        way = "an object store" if is_url(out) else "--shard" if share else ""
-        if not way and jobs[0].executor.records:
-            way = jobs[0].scheduler
-        if way:
-            raise InvalidArgument(
-                f"--replace (replace=True) with {way}: processes that share out objects replace "
-                "nothing; give a new --out"
-            )
+    if options.replace and jobs[0].is_shared:
+        way = "an object store" if is_url(out) else "--shard" if share else jobs[0].scheduler
+        raise InvalidArgument(
+            f"--replace (replace=True) with {way}: processes that share out objects replace "
+            "nothing; give a new --out"
+        )
     return jobs
 
 

@@ -3,7 +3,6 @@ manifest."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from articugen.core.errors import ArticugenError
 from articugen.core.place import Folder
@@ -94,5 +93,5 @@ def _job_of(common: CommonPlan, folder: Path, jobs: int) -> Job:
         raise ArticugenError(
             f"{folder}: the ranks' recipe is of another version of articugen; merge it there"
         )
-    choice: dict[str, Any] = {name: getattr(common, name) for name in OF_JOB}
+    choice = {name: getattr(common, name) for name in OF_JOB}
     return Job(**choice, recipe=recipe, out=folder, jobs=jobs)
