@@ -20,7 +20,7 @@ from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
 from articugen.pipeline.plan import Plan
 from articugen.sources.source import Source
-from articugen.store.manifest import MANIFEST_NAME, Manifest
+from articugen.store.manifest import MANIFEST_NAME, UNMADE, Manifest
 from articugen.store.outcome import Outcome, Rejection
 
 
@@ -36,21 +36,11 @@ def sources_table(sources: Iterable[Source]) -> RenderableType:
         missing = [name for name, splits in counts.items() if not splits]
         if missing:
             table.add_row("none yet", escape(", ".join(missing)))
-        lines += [
-            Text(source.name, "bold"),
-            _indented(Text(f"{source.file.origin} ({source.licence})")),
-            _indented(table),
-        ]
+        about: list[RenderableType] = [Text(f"{source.file.origin} ({source.licence})"), table]
         if not any(counts.values()):
-            lines.append(
-                _indented(Text(f"{source.folder}/README.md says how to get them", "yellow"))
-            )
-        lines.append("")
+            about.append(Text(f"{source.folder}/README.md says how to get them", "yellow"))
+        lines += [Text(source.name, "bold"), Padding(Group(*about), (0, 0, 0, 2)), ""]
     return Group(*lines[:-1])
-
-
-def _indented(text: RenderableType) -> Padding:
-    return Padding(text, (0, 0, 0, 2))
 
 
 def plan_table(job: Job, plan: Plan) -> RenderableType:
@@ -162,8 +152,7 @@ def progress(console: Console, plan: Plan) -> Iterator[tuple[OnObject, OnNotice]
         if console.is_terminal:
             return
         # why an object was not made stands in `made_table`
-        ended = {"rejected": report.rejected, "skipped": report.skipped, "failed": report.failed}
-        word = next((word for word, why in ended.items() if why is not None), "")
+        word = next((kind for kind in UNMADE if getattr(report, kind) is not None), "")
         text = f"{report.instances} instances in {duration(report.seconds)}"
         which = f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}"
         say(f"{which}: {word or text}", to=console)
