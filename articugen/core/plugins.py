@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from articugen.core.errors import BrokenPlugin, machine_fault, printable
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 
 _LOG = logging.getLogger("articugen")
 
@@ -43,10 +43,7 @@ class Table:
         """Raise the refusal, which lists all, where there is none of that name."""
         if name in self.ours or name in self.names():
             return
-        there = list(filter(None, self.names()))
-        raise self.refusal(
-            f"no {self.kind} {name!r}{nearest(name, there)}; there are: {', '.join(there)}"
-        )
+        raise self.refusal(unlisted(self.kind, name, filter(None, self.names())))
 
     def load(self, name: str) -> Any:
         """Return the one of that name; or the refusal if there is none, BrokenPlugin, with the

@@ -3,7 +3,7 @@ a pydantic model. What a file may hold is little: it may come from a stranger.""
 
 import difflib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -44,8 +44,7 @@ def find(name: str, *, learner: bool) -> Path:
     for path in (RECIPES / f"{name}.yaml", Path(name)):
         if os.path.exists(path) and not os.path.isdir(path):
             return path
-    names = known(learner=learner)
-    raise InvalidRecipe(f"no recipe {name!r}{nearest(name, names)}; there are: {', '.join(names)}")
+    raise InvalidRecipe(unlisted("recipe", name, known(learner=learner)))
 
 
 def resolved(
@@ -212,10 +211,16 @@ def fault_in(error: ValidationError) -> str:
     return f"{where}: {message}" if where else message
 
 
-def nearest(name: str, known: list[str], cutoff: float = 0.6) -> str:
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return the hint "; did you mean 'x'?", or nothing where no known name is near."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=cutoff)
     return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def unlisted(what: str, name: str, known: Iterable[str]) -> str:
+    """Return a sentence on a name that nothing has, with the nearest of those known, and all."""
+    there = list(known)
+    return f"no {what} {name!r}{nearest(name, there)}; there are: {', '.join(there)}"
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

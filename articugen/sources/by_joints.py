@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 from articugen.core.errors import InvalidSource
 from articugen.core.records import JointKind
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 from articugen.sources import readers
 from articugen.sources.refs import ObjectRef
 
@@ -17,10 +17,7 @@ def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> 
     `Source.objects` says; InvalidSource if none is left, or a word is no kind of joint."""
     for word in joints:
         if word not in KINDS:
-            raise InvalidSource(
-                f"no kind of joint {word!r}{nearest(word, list(KINDS))}; there are: "
-                f"{', '.join(KINDS)}"
-            )
+            raise InvalidSource(unlisted("kind of joint", word, KINDS))
     left = [ref for ref in refs if not joints or _fits(ref, frozenset(joints))]
     if refs and not left:
         raise InvalidSource(

@@ -15,7 +15,7 @@ from pathlib import Path
 from articugen.core.errors import InvalidSource, printable
 from articugen.core.recipe import load_recipe
 from articugen.core.records import ArticulatedObject
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import nearest, unlisted
 from articugen.sources import listing, procedural, readers
 from articugen.sources.by_joints import of_joints
 from articugen.sources.folders import visible
@@ -347,23 +347,18 @@ def open_source(source: str | Path) -> Source:
     """
     yaml = source_files().get(source) if isinstance(source, str) else None
     if yaml is not None:
-        name, file, folder_of_user = str(source), read_source_file(yaml), users_folder()
-        folder = (
-            folder_of_user / name
-            if folder_of_user and (folder_of_user / name).is_dir()
-            else yaml.parent
-        )
-        return Source(name, yaml.parent / file.path if file.path else folder, yaml, file)
+        name, file, users = str(source), read_source_file(yaml), users_folder()
+        folder = yaml.parent / (file.path or "")
+        if not file.path and users and (users / name).is_dir():
+            folder = users / name
+        return Source(name, folder, yaml, file)
     if readers.UNWRITABLE.search(str(source)):
         raise InvalidSource(
             f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
         )
     if not os.path.exists(source):
-        known = sorted(source_files())
-        raise InvalidSource(
-            f"no source {str(source)!r}{nearest(str(source), known)}; there are: "
-            f"{', '.join(known)}, or the path of a folder of URDFs"
-        )
+        absent = unlisted("source", str(source), sorted(source_files()))
+        raise InvalidSource(f"{absent}, or the path of a folder of URDFs")
     return Source(str(Path(source)), Path(source), None, common_categories())
 
 

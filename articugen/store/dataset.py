@@ -144,10 +144,9 @@ class DataSet(Sequence[Row]):
             InvalidArgument: there is none.
         """
         if name not in self.splits:
-            there = list(self.splits)
             raise InvalidArgument(
-                f"{self.path}: no instance is of split {name!r}{nearest(name, there)}; there are: "
-                f"{', '.join(there) or 'no instances at all'}"
+                f"{self.path}: no instance is of split {name!r}{nearest(name, self.splits)}; there "
+                f"are: {', '.join(self.splits) or 'no instances at all'}"
             )
         of_split = [entry.split == name for entry in self._shelf.entries]
         return DataSet(self._shelf, self._where[np.array(of_split)[self._where[:, 0]]])
@@ -160,9 +159,9 @@ class DataSet(Sequence[Row]):
         """
         for name in objects:
             if name not in self.objects:
-                known = list(self.objects)
                 raise InvalidArgument(
-                    f"{self.path}: no object {name!r}{nearest(name, known)}; `objects` lists them"
+                    f"{self.path}: no object {name!r}{nearest(name, self.objects)}; `objects` "
+                    "lists them"
                 )
         return self[np.isin(self._object_ids(), objects)]
 

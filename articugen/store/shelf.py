@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from articugen.core import schema
 from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 from articugen.store.bucket import Remote, is_url
 from articugen.store.columns import Attribute, Column
 from articugen.store.manifest import MANIFEST_NAME, Manifest
@@ -148,11 +148,7 @@ class Shelf:
             self._about[shard] = (dict(opened.fields), dict(opened.attributes))
             for name in names:
                 if name not in opened.fields:
-                    known = list(opened.fields)
-                    raise InvalidArgument(
-                        f"{path}: no field {name!r}{nearest(name, known)}; there are: "
-                        f"{', '.join(known)}"
-                    )
+                    raise InvalidArgument(f"{path}: {unlisted('field', name, opened.fields)}")
             kinds = set(map(_kind, names))
             for name in opened.fields:
                 if isinstance(path, Remote) or _kind(name) in kinds:
