@@ -300,35 +300,34 @@ def _with_entries(
     lists: dict[str, list[Any]] = {name: [] for name in LISTS}
     for page in head.pages:
         try:
-            piece, fault = _entries_in(page, read(page))
-        except OSError as error:
-            piece, fault = None, error.strerror
-        if piece is None:
+            piece = _entries_in(page, read(page))
+        except (OSError, ValueError) as error:
+            fault = error.strerror if isinstance(error, OSError) else error
             cure = f"delete {path.name}, and generate writes both again"
             if isinstance(path, Path):
                 cure = "mend it with: articugen verify --repair"
             raise CorruptShard(
                 f"{path.parent / page.name}: a page of {path.name}: {fault}; fetch it again, or "
                 f"{cure}"
-            )
+            ) from None
         for name in LISTS:
             lists[name] += getattr(piece, name)
     return rest | {name: tuple(entries) for name, entries in lists.items()}
 
 
-def _entries_in(page: Page, data: bytes | None) -> tuple[_Entries | None, str]:
-    """Return what a page holds, or what is wrong with it."""
+def _entries_in(page: Page, data: bytes | None) -> _Entries:
+    """Return what a page holds; ValueError says what is wrong with it."""
     if data is None:
-        return None, "is not there"
+        raise ValueError("is not there")
     if len(data) != page.bytes or hashlib.sha256(data).hexdigest() != page.sha256:
-        return None, "has other bytes than those listed"
+        raise ValueError("has other bytes than those listed")
     try:
         piece = _Entries.model_validate_json(data)
     except ValidationError as error:
-        return None, fault_in(error)
+        raise ValueError(fault_in(error)) from None
     if sum(len(getattr(piece, name)) for name in LISTS) != page.entries:
-        return None, f"does not hold {page.entries:,} entries"
-    return piece, ""
+        raise ValueError(f"does not hold {page.entries:,} entries")
+    return piece
 
 
 def _compact(value: Any) -> bytes:

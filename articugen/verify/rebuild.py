@@ -9,13 +9,14 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
@@ -122,10 +123,8 @@ def _rebuilt(folder: Path, jobs: int) -> str:
     rest = "taken from the damaged one" if kept else "lost"
     sentence += f"; what nothing else records (rejected objects, notes, times) is {rest}"
     if lost := sorted(set(names) - outcomes.keys()):
-        sentence += (
-            f"; what {', '.join(lost)} held is not known any more: move it away, and run the "
-        )
-        sentence += "command again that made the data set"
+        sentence += f"; what {', '.join(lost)} held is not known any more: move it away, and run "
+        sentence += "the command again that made the data set"
     return sentence
 
 
@@ -194,10 +193,8 @@ def _entries(known: dict[str, Any], name: str, kind: type[R]) -> list[R]:
     """Return the entries of a list that can be read."""
     entries: list[R] = []
     for entry in known[name]:
-        try:
+        with suppress(ValueError):
             entries.append(kind.model_validate_json(json.dumps(entry)))
-        except (ValidationError, ValueError):
-            continue
     return entries
 
 
