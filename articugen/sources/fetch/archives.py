@@ -23,6 +23,7 @@ from typing import IO, BinaryIO, NamedTuple, NoReturn
 from articugen.core.errors import InvalidSource, MachineFault, machine_fault, printable
 from articugen.core.files import cannot_write, megabytes, open_regular, room_at, sha256_of
 from articugen.meshes.model_files import MAX_NAME_BYTES, quoted
+from articugen.sources.usd.layers import SUFFIXES
 from articugen.sources.usd.reader import LAYER_FOLDERS
 
 MAX_FILES = 1_000_000  # and folders in one archive; Artiverse's largest has 313,000
@@ -42,7 +43,6 @@ _DAMAGED = (
     *(NotImplementedError, ValueError, OverflowError, RecursionError),
 )
 _BELOW = ("urdf", "urdf_w_collider")  # folders of URDFs inside of a model's folder
-_USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 class Entry(NamedTuple):
@@ -267,7 +267,7 @@ def _roots(files: Iterable[PurePosixPath]) -> dict[PurePosixPath, PurePosixPath]
         or name.name in ("motion_attributes.json", f"{name.parent.name}.articulations.json")
     }
     if not roots:  # beside other marks USD files are meshes, and so are layers of another's model
-        folders = {name.parent for name in names if name.suffix.lower() in _USD}
+        folders = {name.parent for name in names if name.suffix.lower() in SUFFIXES}
         roots = {
             folder
             for folder in folders

@@ -56,15 +56,6 @@ class Layers:
         self._names: dict[Place, dict[str, Place]] = {}
         self._open: dict[Place, Any] = {}
         first = self._first_of(Path(os.path.realpath(path)))
-        self._read_all(first)
-        for place, names in self._names.items():
-            for name, other in names.items():
-                self._open[place].UpdateCompositionAssetDependency(
-                    name, self._open[other].identifier
-                )
-        self.root = self._open[first]
-
-    def _read_all(self, first: Place) -> None:
         todo = [first]
         for place in todo:  # grows while it is walked
             if place in self._open:
@@ -78,6 +69,12 @@ class Layers:
             names = filter(None, layer.GetCompositionAssetDependencies())
             self._names[place] = {name: self._named(name, place) for name in sorted(names)}
             todo += self._names[place].values()
+        for place, names in self._names.items():
+            for name, other in names.items():
+                self._open[place].UpdateCompositionAssetDependency(
+                    name, self._open[other].identifier
+                )
+        self.root = self._open[first]
 
     def _named(self, name: str, by: Place) -> Place:
         """Return where the layer is that a layer calls `name`."""
