@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from articugen.core import processes
 from articugen.core.errors import InvalidRecipe, MachineFault, NotOfCategory, printable
@@ -94,14 +95,9 @@ def objects_of(job: Job, source: Source) -> tuple[ObjectRef, ...]:
         InvalidSource: unknown source, category or object.
         InvalidRecipe: they are more than a manifest can list.
     """
-    crew = processes.Crew(
-        partial(_is_of_category, job.recipe),
-        workers=min(job.jobs, 1),
-        limit=limit_of(job.recipe),
-        ready=import_readers,
-        name=lambda ref: plain_name(ref.object_id),
-    )
-    with crew:  # files of others are read where they can do no harm
+    counted = partial(_is_of_category, job.recipe)
+    # files of others are read where they can do no harm
+    with processes.Crew(counted, workers=min(job.jobs, 1), **_for_reading(job)) as crew:
         refs = source.objects(
             job.category, objects=job.recipe.objects, ids=job.ids, exclude=job.exclude,
             joints=job.joints,
@@ -136,7 +132,7 @@ def plan_for(job: Job, records: Records, refs: Sequence[ObjectRef]) -> Plan:
     limit = limit_of(job.recipe)
     keys, known = [], dict[Key, Outcome]()
     generator = refs[0].generator_by(job.recipe.text()) if refs else ""
-    for ref, read in zip(refs, _read(job, refs, limit), strict=True):
+    for ref, read in zip(refs, _read(job, refs), strict=True):
         key = _key(job, ref, read.value or "unreadable", generator)
         keys.append(key)
         if key.object_id != ref.object_id:
@@ -226,22 +222,20 @@ def plain_name(object_id: str) -> str:
     return f"{plain[:100]}~{hashlib.sha256(os.fsencode(object_id)).hexdigest()[:8]}"
 
 
-def _read(
-    job: Job, refs: Sequence[ObjectRef], limit: processes.Limit
-) -> Sequence[processes.Ended[str]]:
+def _read(job: Job, refs: Sequence[ObjectRef]) -> Sequence[processes.Ended[str]]:
     """Return the files each object is read from. A procedural one is made of its name; others'
     files are digested by workers, which make nothing of their meshes."""
     if all(ref.is_made for ref in refs):
         return [processes.Ended(i, f"{r.source}/{r.object_id}") for i, r in enumerate(refs)]
-    read = processes.each(
-        partial(source_digest, job.recipe),
-        refs,
-        workers=job.jobs,
-        limit=limit,
-        ready=import_readers,
-        name=lambda ref: plain_name(ref.object_id),
-    )
+    digested = partial(source_digest, job.recipe)
+    read = processes.each(digested, refs, workers=job.jobs, **_for_reading(job))
     return sorted(read, key=lambda ended: ended.number)
+
+
+def _for_reading(job: Job) -> dict[str, Any]:
+    """Return the settings of workers that read objects' files and make nothing."""
+    named = {"name": lambda ref: plain_name(ref.object_id)}
+    return {"limit": limit_of(job.recipe), "ready": import_readers, **named}
 
 
 def run_seconds(recipe: Recipe, objects: int, workers: int, done: Sequence[ObjectEntry]) -> float:

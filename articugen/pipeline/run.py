@@ -144,12 +144,9 @@ class Run:
 
     def _is_told(self) -> bool:
         """Return whether the manifest that is there says just what this run would write."""
-        if self.job.share is not None or not self.records.is_complete(self.plan.keys):
-            return False
-        manifest = self.records.manifest
-        return manifest is not None and (
-            manifest.shortfall == _shortfall(self.plan.done, self.job.recipe)
-        )
+        manifest, shortfall = self.records.manifest, _shortfall(self.plan.done, self.job.recipe)
+        is_whole = self.job.share is None and self.records.is_complete(self.plan.keys)
+        return is_whole and manifest is not None and manifest.shortfall == shortfall
 
     def _make(
         self, executor: Executor | None, on_object: OnObject, on_notice: OnNotice
