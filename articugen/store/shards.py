@@ -60,6 +60,11 @@ def instance_sha256(object_id: str, arrays: Iterable[tuple[str, NDArray[Any]]]) 
     return digest.hexdigest()
 
 
+def content_row(object_id: str, row: Mapping[str, NDArray[Any]]) -> tuple[str, int, str]:
+    """Return what `Content` has of an instance, of its fields as they are stored."""
+    return object_id, int(row["state_index"]), instance_sha256(object_id, row.items())
+
+
 def content_sha256(content: Iterable[tuple[Any, ...]]) -> str:
     """Return one digest of many: over their sorted lines, so that order and grouping do not
     matter."""
@@ -203,12 +208,7 @@ class Shard(AbstractContextManager["Shard"]):
 
     def content(self) -> Content:
         """Return the digest of each instance, computed from what is stored."""
-        content: list[tuple[str, int, str]] = []
-        for index, object_id in enumerate(self.object_ids()):
-            row = self.stored_row(index)
-            digest = instance_sha256(object_id, row.items())
-            content.append((object_id, int(row["state_index"]), digest))
-        return tuple(content)
+        return tuple(content_row(o, self.stored_row(n)) for n, o in enumerate(self.object_ids()))
 
     def stored_bytes(self, name: str) -> int:
         """Return the bytes of a data set in the file, after compression, without its index."""

@@ -23,7 +23,7 @@ from articugen.core.files import sha256_of, sync, written_atomically
 from articugen.core.schema import MAX_TEXT, Field, Instance
 from articugen.store import chunks
 from articugen.store.columns import MAX_ATTRIBUTE_BYTES, Attribute, opened
-from articugen.store.shards import ShardRecord, instance_sha256, open_shard
+from articugen.store.shards import ShardRecord, content_row, open_shard
 
 Check = Callable[[Path, ShardRecord], None]
 """Examines a shard that is whole but has not its name yet, and raises where it must not get it."""
@@ -179,7 +179,7 @@ def _written(file: h5py.File, instances: Iterable[Instance]) -> Iterator[tuple[s
                 chunk = chunks.encoded(array.tobytes(), compressed=_field(name).compressed)
                 datasets[name].write_direct_chunk((count, *(0,) * array.ndim), chunk)
         count += 1
-        yield row.object_id, row.state_index, instance_sha256(row.object_id, arrays.items())
+        yield content_row(row.object_id, arrays)
     fault = schema.misfit({name: (count, *shape) for name, shape in shapes.items()})
     if fault:
         raise ValueError(f"instances that do not make a shard: {fault}")

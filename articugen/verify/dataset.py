@@ -30,7 +30,7 @@ from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
 from articugen.store.outcome import ObjectEntry, ShardEntry
-from articugen.store.shards import Shard, content_sha256, instance_sha256, open_shard
+from articugen.store.shards import Shard, content_row, content_sha256, open_shard
 from articugen.verify.invariants import Finding, faults
 
 WELCOME = (".png", ".html")
@@ -303,11 +303,8 @@ def _row_findings(
         places.setdefault(object_id, []).append(index)
     for object_id in sorted(places):
         rows = [shard.stored_row(index) for index in places[object_id]]
-        parts = [
-            (object_id, int(row["state_index"]), instance_sha256(object_id, row.items()))
-            for row in rows
-        ]
-        if content_sha256(parts) != recorded.get(object_id):
+        content_now = [content_row(object_id, row) for row in rows]
+        if content_sha256(content_now) != recorded.get(object_id):
             sentence = "not the content that the manifest records"
             content.append(Finding("content", sentence, name, object_id))
         if recipe is not None and rows:

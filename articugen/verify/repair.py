@@ -137,10 +137,8 @@ def _shards(
     finally:
         records.tidy()
         if others:
-            values = dict(iter(manifest)) | {
-                "shards": tuple(others.get(shard.name, shard) for shard in manifest.shards)
-            }
-            manifest = Manifest.sealed(**values)
+            now = tuple(others.get(shard.name, shard) for shard in manifest.shards)
+            manifest = Manifest.sealed(**dict(iter(manifest)) | {"shards": now})
             write_atomically(folder / croissant.NAME, croissant.of_data_set(manifest))
             manifest.write(folder)
 
