@@ -38,14 +38,9 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
     files = ModelFiles(folder)
     # semantics.txt: the name of each link's part; a line is `link_0 hinge rotation_door`
     table = [line.split() for line in (_text(files, "semantics.txt") or "").splitlines()]
-    obj = load_object(
-        ref,
-        settings,
-        folder / URDF,
-        root=folder,
-        missing_ok=KNOWN_MISSING,
-        semantics={words[0]: words[2] for words in table if len(words) == 3},
-    )
+    semantics = {words[0]: words[2] for words in table if len(words) == 3}
+    options = {"root": folder, "missing_ok": KNOWN_MISSING, "semantics": semantics}
+    obj = load_object(ref, settings, folder / URDF, **options)
     notes = list(obj.notes)
     name = meta_category(folder)
     if name and settings.model_cat and name not in settings.model_cat:

@@ -252,9 +252,8 @@ class Source:
             for f in sorted_models
         }  # fmt: skip
         groups = {f.object_id: f.group for f in sorted_models}
-        chosen = assign_splits(
-            groups, splits.train, splits.test, cache(lambda name: counts(refs[name]))
-        )
+        counted = cache(lambda name: counts(refs[name]))
+        chosen = assign_splits(groups, splits.train, splits.test, counted)
         return [replace(ref, split=chosen[name]) for name, ref in refs.items() if name in chosen]
 
     def _settings(self, category: str, reader: str, own_category: str) -> CategorySettings:

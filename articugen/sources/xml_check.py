@@ -96,15 +96,11 @@ class Check:
         fine = fine and len(text) <= MAX_LETTERS
         if infinite:
             values = [x if abs(x) <= most else math.copysign(math.inf, x) for x in values]
+        what = f"<{element.tag}> {attribute}={quoted(text)}"
         if not fine or not (infinite or all(map(math.isfinite, values))):
-            raise self.refuse(
-                element, f"<{element.tag}> {attribute}={quoted(text)} is not {wanted}; correct it"
-            )
+            raise self.refuse(element, f"{what} is not {wanted}; correct it")
         if not infinite and any(abs(x) > most for x in values):
-            raise self.refuse(
-                element,
-                f"<{element.tag}> {attribute}={quoted(text)} is beyond {most:,.0f}; correct it",
-            )
+            raise self.refuse(element, f"{what} is beyond {most:,.0f}; correct it")
         if attribute in element.attrib:
             element.set(attribute, " ".join(map(repr, values)))
         return values

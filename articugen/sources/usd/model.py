@@ -98,16 +98,10 @@ class _Reading:
             raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
         up = _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
         physics = Stage(str(self._path), self._places, numbers, up, metres)
-        read = [(prim, read_joint(prim, physics)) for prim in jointed]
-        joints = [(prim, joint) for prim, joint in read if joint is not None]
-        names = self._names([None, *bodies])
-        tree = Tree(
-            str(self._path),
-            names,
-            [joint for _, joint in joints],
-            self._names([prim for prim, _ in joints]),
-            _holders(bodies, [joint for _, joint in joints]),
-        )
+        read = [(prim, joint) for prim in jointed if (joint := read_joint(prim, physics))]
+        joints = [joint for _, joint in read]
+        names, joint_names = self._names([None, *bodies]), self._names([prim for prim, _ in read])
+        tree = Tree(str(self._path), names, joints, joint_names, _holders(bodies, joints))
         meshes = self._meshes(shapes, physics, tree.origins)
         self._note_what_is_left_out(jointed)
         return Model(
@@ -145,10 +139,8 @@ class _Reading:
         """Yield the prims of the default prim, where the file names one; shared instances once
         each."""
         (Usd,) = pxr("Usd")
-        default = self._stage.GetDefaultPrim()
-        top = default if default else self._stage.GetPseudoRoot()
-        predicate = Usd.TraverseInstanceProxies()
-        for number, prim in enumerate(Usd.PrimRange(top, predicate)):
+        top = self._stage.GetDefaultPrim() or self._stage.GetPseudoRoot()
+        for number, prim in enumerate(Usd.PrimRange(top, Usd.TraverseInstanceProxies())):
             if number >= MAX_PRIMS:
                 raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
             yield prim

@@ -105,9 +105,8 @@ def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
             "leave the model out, or replace the joint"
         )
     kind = _KINDS[name]
-    ends = [_end(prim, stage, number, by) for number in (0, 1)]
-    bodies = (ends[0][0], ends[1][0])
-    if bodies[0] == bodies[1] and (kind != JointKind.FIXED or bodies[0] != WORLD):
+    (holder, here), (body, there) = (_end(prim, stage, number, by) for number in (0, 1))
+    if holder == body and (kind != JointKind.FIXED or body != WORLD):
         raise InvalidSource(
             f"{by}: joins no two rigid bodies; correct its body0 and body1, or give them the "
             "PhysicsRigidBodyAPI"
@@ -118,8 +117,8 @@ def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
         axis = axis_of(value_of(prim.GetAttribute("physics:axis"), by), by)
     if kind == JointKind.REVOLUTE and np.isinf(lower) and np.isinf(upper):
         kind = JointKind.CONTINUOUS
-    frames = (ends[0][1], ends[1][1])
-    return PhysicsJoint(str(prim.GetPath()), kind, bodies, frames, axis, lower, upper, notes)
+    both = (holder, body), (here, there)
+    return PhysicsJoint(str(prim.GetPath()), kind, *both, axis, lower, upper, notes)
 
 
 def _end(prim: Any, stage: Stage, number: int, by: str) -> tuple[int, Floats]:
