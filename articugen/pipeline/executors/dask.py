@@ -6,13 +6,13 @@ process along, costs nobody else's. What is sent back is small; data go to a fol
 machines see.
 """
 
-import math
 import pickle
 import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 from uuid import uuid4
 
@@ -65,10 +65,11 @@ class Dask(Executor):
             numbers, running = iter(range(len(tasks))), dict[Any, int]()
             queue = _distributed().as_completed(loop=client.loop)
 
-            width = _Width(client)
+            # of the present while: workers come and go, but asking takes time
+            width = lru_cache(1)(lambda _: max(_threads(client), _IN_FLIGHT))
 
             def hand_out() -> None:
-                while len(running) < _IN_FLIGHT * max(width.now(), _IN_FLIGHT):
+                while len(running) < _IN_FLIGHT * width(time.monotonic() // WIDTH_SECONDS):
                     number = next(numbers, None)
                     if number is None:
                         return
@@ -87,18 +88,6 @@ class Dask(Executor):
             finally:
                 with suppress(Exception):  # the scheduler may be gone, and with it the tasks
                     client.cancel(list(running), force=True)
-
-
-class _Width:
-    """Number of tasks the cluster does at once: workers come and go, but asking takes time."""
-
-    def __init__(self, client: Any) -> None:
-        self._client, self._found, self._asked = client, 0, -math.inf
-
-    def now(self) -> int:
-        if time.monotonic() - self._asked > WIDTH_SECONDS:
-            self._found, self._asked = _threads(self._client), time.monotonic()
-        return self._found
 
 
 @contextmanager
