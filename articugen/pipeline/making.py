@@ -197,9 +197,7 @@ def _attributes(job: Job, task: Task) -> dict[str, str | int]:
     recipe, ref = job.recipe.for_one_object(), task.ref
     return {
         "category": job.category,
-        "split": ref.split,
-        "source": ref.source,
-        "licence": ref.licence,
+        **{name: getattr(ref, name) for name in ("split", "source", "licence")},
         "recipe": recipe.text(),
         "recipe_sha256": recipe.sha256(),
         "seed": job.seed,

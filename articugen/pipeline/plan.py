@@ -150,14 +150,13 @@ def plan_for(job: Job, records: Records, refs: Sequence[ObjectRef]) -> Plan:
             why = records.why(key) or "the recipe now allows it more"
             tasks.append(Task(ref, key, names[key], why, known.get(key), place))
     instances = len(tasks) * instances_each(job.recipe)
-    entries = [outcome.made for outcome in done if outcome.made]
     return Plan(
         keys=tuple(keys),
         tasks=tuple(tasks),
         done=tuple(done),
         instances=instances,
         bytes=instances * instance_bytes(job.recipe, [o.shard for o in done if o.shard]),
-        seconds=run_seconds(job.recipe, len(tasks), job.jobs, entries),
+        seconds=run_seconds(job.recipe, len(tasks), job.jobs, [o.made for o in done if o.made]),
         conflict=records.conflict(keys),
     )
 

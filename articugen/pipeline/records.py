@@ -163,9 +163,7 @@ class Records(AbstractContextManager["Records"]):
     def is_complete(self, keys: Sequence[Key]) -> bool:
         """Return whether a run for `keys` has nothing to do: all made, and the manifest says just
         that."""
-        if self.manifest is None or self._has_news:
-            return False
-        if self._folder is not None and self.ledger.files():
+        if self.manifest is None or self._has_news or (self._folder and self.ledger.files()):
             return False
         return set(self.manifest.keys) == set(keys) and all(self.why(key) is None for key in keys)
 

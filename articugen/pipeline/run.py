@@ -319,10 +319,8 @@ def _shortfall(outcomes: Sequence[Outcome], recipe: Recipe) -> str | None:
 def timings_of(instances: int, seconds: float, jobs: int) -> Timings:
     """Return the timings of a run by this process and its workers, which ends now."""
     unit = 1 if sys.platform == "darwin" else 1024
-    peak = max(
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
+    processes = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    peak = max(resource.getrusage(who).ru_maxrss for who in processes)
     return Timings(
         seconds=seconds,
         instances_per_second=instances / seconds if seconds > 0 else 0.0,
