@@ -293,6 +293,12 @@ class Descent:
             raise self._diverged(iteration, _blame(self.network, again()))
         self.optimiser.step(rate)
 
+    def lower(self, evaluate: Callable[[], Terms], iteration: int, rate: float) -> Terms:
+        """Make the step that lowers the terms which `evaluate` gives, and return these."""
+        terms = evaluate()
+        self.step(terms, evaluate, iteration, rate)
+        return terms
+
     def check(self) -> None:
         """Raise TrainingDiverged where a step since the last check was not finite."""
         if self._noted is None:
@@ -319,14 +325,6 @@ class Descent:
             "schedule.learning_rate or that term's weight, and resume from the last checkpoint"
         )
 
-    def state(self) -> dict[str, Tensor]:
-        """Return the optimiser's state."""
-        return self.optimiser.state()
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Go on from another one's `state`."""
-        self.optimiser.load(state)
-
 
 class Beside:
     """Learning of a network that a model does not learn from.
@@ -343,11 +341,12 @@ class Beside:
         self.descent = Descent(self._network)
 
     def state(self) -> dict[str, Any]:
-        return {self.name: self._network.state_dict(), f"{self.name}_adam": self.descent.state()}
+        adam = self.descent.optimiser.state()
+        return {self.name: self._network.state_dict(), f"{self.name}_adam": adam}
 
     def load(self, state: dict[str, Any]) -> None:
         self._network.load_state_dict(state[self.name])
-        self.descent.load(state[f"{self.name}_adam"])
+        self.descent.optimiser.load(state[f"{self.name}_adam"])
 
 
 def _blame(network: nn.Module, terms: Terms) -> str:
@@ -403,9 +402,7 @@ class NetworkLearner(Learner):
         if plan.index_at(iteration) != plan.index_at(self.iteration):
             self._begin_stage()
         self.iteration = iteration
-        terms = self.loss(batch)
-        self.descent.step(terms, lambda: self.loss(batch), iteration, plan.rate_at(iteration))
-        return terms
+        return self.descent.lower(lambda: self.loss(batch), iteration, plan.rate_at(iteration))
 
     def check(self) -> None:
         self.descent.check()
@@ -414,10 +411,10 @@ class NetworkLearner(Learner):
         return {
             "iteration": self.iteration,
             "network": self.network.state_dict(),
-            "optimiser": self.descent.state(),
+            "optimiser": self.descent.optimiser.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
         self.iteration = state["iteration"]
         self.network.load_state_dict(state["network"])
-        self.descent.load(state["optimiser"])
+        self.descent.optimiser.load(state["optimiser"])

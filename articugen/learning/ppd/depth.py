@@ -83,9 +83,7 @@ class DepthLearner(Predictor):
         def differ() -> Terms:
             return {"latent": mse_loss(self.student(batch.cloud), self.wanted[batch.rows])}
 
-        terms = differ()
-        self.descent.step(terms, differ, iteration, self.settings.schedule.rate_at(iteration))
-        return terms
+        return self.descent.lower(differ, iteration, self.settings.schedule.rate_at(iteration))
 
     def check(self) -> None:
         self.descent.check()
@@ -104,14 +102,14 @@ class DepthLearner(Predictor):
             "residual_direction": self.residual_direction,
             "model": self.model.state_dict(),
             "teacher": self.teacher.state_dict(),
-            "adam": self.descent.state(),
+            "adam": self.descent.optimiser.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
         self.residual_direction = state["residual_direction"]
         self.model.load_state_dict(state["model"])
         self.teacher.load_state_dict(state["teacher"])
-        self.descent.load(state["adam"])
+        self.descent.optimiser.load(state["adam"])
         self.is_taught = True
 
     def _wanted(self, split: PackedSplit) -> Tensor:

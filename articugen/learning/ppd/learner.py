@@ -222,8 +222,7 @@ class PPDLearner(Predictor):
         if weigh.adv_g:
             posed = objective.random_pose(self.model, predicted, batch, weigh, rng)
             judge = partial(objective.discriminator_terms, self.discriminator, batch, posed, weigh)
-            judged = judge()
-            self.discriminator_descent.step(judged, judge, iteration, rate)
+            judged = self.discriminator_descent.lower(judge, iteration, rate)
         minimize = partial(
             objective.generator_terms,
             self.model,
@@ -261,8 +260,8 @@ class PPDLearner(Predictor):
             "iteration": self.iteration,
             "model": self.model.state_dict(),
             "discriminator": self.discriminator.state_dict(),
-            "adam": self.descent.state(),
-            "discriminator_adam": self.discriminator_descent.state(),
+            "adam": self.descent.optimiser.state(),
+            "discriminator_adam": self.discriminator_descent.optimiser.state(),
         }
         for beside in self._beside():
             state |= beside.state()
@@ -272,8 +271,8 @@ class PPDLearner(Predictor):
         self.at(max(state["iteration"], 0))
         self.model.load_state_dict(state["model"])
         self.discriminator.load_state_dict(state["discriminator"])
-        self.descent.load(state["adam"])
-        self.discriminator_descent.load(state["discriminator_adam"])
+        self.descent.optimiser.load(state["adam"])
+        self.discriminator_descent.optimiser.load(state["discriminator_adam"])
         for beside in self._beside():
             beside.load(state)
 

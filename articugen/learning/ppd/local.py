@@ -116,13 +116,9 @@ class LocalLearning(Beside):
     def learn(self, batch: Batch, iteration: int, rate: float) -> Terms:
         """Return the cross-entropy at some of the batch's query points, and the mean square by
         which some normals are wrong, others in each iteration; one step was made to lower both."""
-        some, turned = (
-            slice(iteration % every, None, every)
-            for every in (
-                max(batch.points.shape[1] // self.points, 1),
-                max(batch.cloud.shape[1] // NORMALS, 1),
-            )
-        )
+        places, points = batch.points.shape[1], batch.cloud.shape[1]
+        steps = max(places // self.points, 1), max(points // NORMALS, 1)
+        some, turned = (slice(iteration % every, None, every) for every in steps)
         assert batch.normals is not None  # asked for by the learner
         normals = batch.normals[:, turned]
         sided = self.field.sided(batch.cloud[:SAMPLES])
@@ -137,9 +133,7 @@ class LocalLearning(Beside):
                 "local_normals": wrong.square().sum(2).mean(),
             }
 
-        terms = differ()
-        self.descent.step(terms, differ, iteration, rate)
-        return terms
+        return self.descent.lower(differ, iteration, rate)
 
 
 class Outline:

@@ -77,9 +77,7 @@ class StateLearning(Beside):
             off = (self.reader(along) - wrong).abs() * shown
             return {"states": off.sum() / shown.sum().clamp(min=1.0)}
 
-        terms = differ()
-        self.descent.step(terms, differ, iteration, rate)
-        return terms
+        return self.descent.lower(differ, iteration, rate)
 
 
 @torch.no_grad()
