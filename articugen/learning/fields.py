@@ -5,7 +5,7 @@ where its field is above 0 and the greatest of all, unless a method draws its su
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,8 +20,6 @@ from articugen.evaluation.reconstruction import PartJoints, Reconstruction
 from articugen.learning.blocks import NetworkLearner
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
-from articugen.learning.optimisers import BETAS, Betas
-from articugen.learning.recipe import TrainRecipe
 from articugen.meshes.marching_cubes import zero_level
 
 VALIDATION_GRID = 32
@@ -298,24 +296,13 @@ class PartFields(nn.Module):
 
 
 class FieldLearner(NetworkLearner):
-    """Learner of part fields: a method adds settings, a network and a loss.
+    """Learner of part fields: a method adds settings, a network of `PartFields` and a loss."""
 
-    Args:
-        network, betas: as `NetworkLearner`.
-    """
-
-    def __init__(
-        self,
-        settings: TrainRecipe,
-        network: Callable[[], PartFields],
-        seed: int,
-        device: torch.device,
-        *,
-        betas: Betas = BETAS,
-    ) -> None:
-        grids = (VALIDATION_GRID,) if settings.data.validation_objects else ()
-        self.inputs = BatchSpec.of(settings.data, grids=grids)
-        super().__init__(settings, network, seed, device, betas=betas)
+    @cached_property
+    def inputs(self) -> BatchSpec:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Needs of the batches; a method may ask for others."""
+        grids = (VALIDATION_GRID,) if self.settings.data.validation_objects else ()
+        return BatchSpec.of(self.settings.data, grids=grids)
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return `rec`, `iou` and `parts`, see `held_out_fit`."""
