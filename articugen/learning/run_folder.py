@@ -186,7 +186,8 @@ class RunFolder:
     ) -> "RunFolder":
         """Make a folder under `runs`, the next number or `name`; `data` says what it is trained
         on."""
-        path = runs / name if name else _next_number(runs)
+        taken = (int(p.name) for p in runs.glob("*") if p.name.isdecimal())
+        path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
         try:
             make_folder(runs)
             path.mkdir()
@@ -359,11 +360,6 @@ def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None
     finally:
         with suppress(OSError):  # where the disk is full the JSON lines are what says so
             writer.close()
-
-
-def _next_number(runs: Path) -> Path:
-    taken = [int(p.name) for p in runs.glob("*") if p.name.isdecimal()]
-    return runs / f"{max(taken, default=-1) + 1:03d}"
 
 
 def _read(path: Path) -> bytes:

@@ -113,7 +113,10 @@ class PackedSplit:
             resolution: of the grid that `grid_points` are drawn from.
             rng: of the device that the split lies on; None for torch's own.
         """
-        at = index_on(self.surface.device, rows)
+        at, device = torch.tensor(rows), self.surface.device
+        if device.type == "cuda":  # which is not waited for so
+            at = at.pin_memory()
+        at = at.to(device, non_blocking=True)
         column = at[:, None]
         cloud, drawn = self._clouds(at, spec, rng)
         part = self.part[column, drawn] if self.part.shape[1] else self.part[at]
@@ -179,12 +182,6 @@ def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
         names = [field.name for field in fields(value)]
         return replace(value, **{n: _changed(getattr(value, n), change) for n in names})  # pyright: ignore[reportArgumentType]
     return value
-
-
-def index_on(device: torch.device, rows: Sequence[int]) -> Tensor:
-    """Return the numbers of rows as a tensor; no GPU is waited for."""
-    at = torch.tensor(rows)
-    return at.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else at.to(device)
 
 
 def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
@@ -381,11 +378,15 @@ def _told(label: NDArray[np.uint8], spec: BatchSpec) -> NDArray[np.uint8]:
 def _grid(
     shard: Shard, resolution: int, names: NDArray[Any], surface: NDArray[np.uint16], spec: BatchSpec
 ) -> NDArray[np.uint8]:
-    """Return (n, R, R, R) such labels; somewhere every instance is occupied."""
+    """Return (n, R, R, R) such labels. Where no voxel's centre is occupied, those are that the
+    surface (n, S, 3), in fixed point, passes through: thin parts can lie between all centres of a
+    coarse grid, and a grid that says "nothing is here" would teach just that."""
     grid = shard.read(f"occupancy_{resolution}")
     check_fixed_part(shard, names, grid)
     grid = _told(grid, spec)
-    _fill_empty(grid, surface, resolution)
+    for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
+        x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
+        grid[row, x, y, z] = 1
     return grid
 
 
@@ -394,21 +395,6 @@ def _none(shard: Shard, name: str) -> NDArray[Any]:
     shape = shard.fields[name]
     dtype = {"points": np.uint16, "normals": np.int8}.get(name.rpartition("_")[2], np.uint8)
     return np.zeros((shape[0], 0, *shape[2:]), dtype)
-
-
-def _fill_empty(grid: NDArray[np.uint8], surface: NDArray[np.uint16], resolution: int) -> None:
-    """Compute where no voxel's centre is occupied, those are that the surface passes through.
-
-    Thin parts can lie between all centres of a coarse grid, and a grid that says "nothing is here"
-    would teach just that.
-
-    Args:
-        grid: (I, R, R, R) labels, changed in place.
-        surface: (I, S, 3) in fixed point.
-    """
-    for row in np.flatnonzero(~grid.any(axis=(1, 2, 3))):
-        x, y, z = (surface[row].astype(np.int64) * resolution // 65536).T
-        grid[row, x, y, z] = 1
 
 
 def _tensor(array: NDArray[Any]) -> Tensor:

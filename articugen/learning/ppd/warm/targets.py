@@ -159,22 +159,16 @@ def in_range(states: Tensor, revolute: int) -> Tensor:
 
 def _unknown(count: int, model: ModelSettings) -> dict[str, NDArray[Any]]:
     """Return what `Targets` holds of instances of which nothing is known."""
-    J = model.joints
+    J, P = model.joints, model.parts
+    zeros = {"known": (), "there": (J,), "state": (J,), "axis": (J, 3), "pivot": (J, 3)}
+    zeros |= {"owns": (P,), "offset": (P, 3), "centre": (3,)}
+    ones = {"middle": (P, 3), "size": (P, 3), "extent": (3,)}
     return {
-        "known": np.zeros(count),
-        "there": np.zeros((count, J)),
-        "state": np.zeros((count, J)),
-        "axis": np.zeros((count, J, 3)),
-        "pivot": np.zeros((count, J, 3)),
-        "owns": np.zeros((count, J + 1)),
-        "middle": np.ones((count, J + 1, 3)),
-        "size": np.ones((count, J + 1, 3)),
-        "rotation": np.tile(np.eye(3), (count, J + 1, 1, 1)),
-        "offset": np.zeros((count, J + 1, 3)),
-        "centre": np.zeros((count, 3)),
-        "extent": np.ones((count, 3)),
+        **{name: np.zeros((count, *shape)) for name, shape in zeros.items()},
+        **{name: np.ones((count, *shape)) for name, shape in ones.items()},
+        "rotation": np.tile(np.eye(3), (count, P, 1, 1)),
         "alike": np.full((count, 3, 3), 1.0 / 3.0),
-        "grid": np.zeros((count, J + 1), np.int64),
+        "grid": np.zeros((count, P), np.int64),
     }
 
 

@@ -62,8 +62,7 @@ class Variation:
         scale = size * side
         free = 0.5 * (room - size * aim.extent)
         somewhere = free * (2.0 * chance[:, 5:8] - 1.0)
-        stays = aim.centre * side
-        centre = somewhere if vary.shift else stays
+        centre = somewhere if vary.shift else aim.centre * side
         return Variation(scale, centre - scale * aim.centre)
 
     def moved(self, points: Tensor) -> Tensor:
@@ -74,16 +73,10 @@ class Variation:
         """Return the batch varied, and (B, m) which of its query points are others now: points
         spread over the cube go into the place that an object became smaller leaves free, so that
         they are spread over the cube again."""
-        points = self.moved(batch.points)
-        even = batch.points[:, : batch.spread].roll(1, 1)
+        even, points = batch.points[:, : batch.spread].roll(1, 1), self.moved(batch.points)
         beyond = ((even - self.shift[:, None]) / self.scale[:, None]).abs().amax(2) > 0.5
-        points = torch.cat(
-            [
-                torch.where(beyond[..., None], even, points[:, : batch.spread]),
-                points[:, batch.spread :],
-            ],
-            1,
-        )
+        spread = points[:, : batch.spread]
+        spread[:] = torch.where(beyond[..., None], even, spread)
         freed = torch.cat([beyond, torch.zeros_like(batch.occupied[:, batch.spread :])], 1)
         normals = batch.normals
         if normals is not None:
