@@ -73,10 +73,8 @@ def _chassis(s: LaptopShape) -> list[Solid]:
     top = s.deck - s.well
     bottom = s.bottom_rear + s.base_bevel
     layers = [(s.base_bevel * 1.5, 0.0), (0.0, s.base_bevel)]
-    rings = []
-    for inset, lift in layers:
-        outline = s.outline(inset)
-        rings.append(np.c_[outline, s.bottom(outline[:, 1]) + lift])
+    outlines = [s.outline(inset) for inset, _ in layers]
+    rings = [np.c_[o, s.bottom(o[:, 1]) + z] for o, (_, z) in zip(outlines, layers, strict=True)]
     rings.append(np.c_[s.outline(0.0), np.full(len(rings[0]), top)])
     body = [loft(rings)]
     if not s.drops and s.shelf - bottom > MM:
@@ -90,7 +88,8 @@ def _behind(s: LaptopShape, left: float, right: float) -> Floats:
     """Return the outline of the base around and behind the hinge, from x = `left` to `right`."""
     size = right - left, s.reach + s.barrel + 2 * MM
     ends = (right > s.width / 2 - MM, left < MM - s.width / 2)
-    radii = [0.5 * MM, 0.5 * MM, *(s.rear_corner if end else 0.5 * MM for end in ends)]
+    corner = min(s.corner, 0.8 * (s.reach + s.barrel))
+    radii = [0.5 * MM, 0.5 * MM, *(corner if end else 0.5 * MM for end in ends)]
     middle = ((left + right) / 2, s.barrel - size[1] / 2)
     return rounded_rectangle(*size, radii, middle)
 
@@ -98,7 +97,8 @@ def _behind(s: LaptopShape, left: float, right: float) -> Floats:
 def _rear_block(s: LaptopShape, bottom: float) -> list[Solid]:
     """Build the block behind the hinge, below the lid's reach: an exhaust, or ports."""
     back = s.reach + s.behind
-    top = min(s.shelf, s.lowest_lid - 1.5 * MM)
+    lowest = -np.sqrt(0.5) * max(s.back + s.lid_rear, 0.0)  # of the lid there, at 135 degrees
+    top = min(s.shelf, lowest - 1.5 * MM)
     if top - bottom < 4.5 * MM:
         return []
     half = s.width / 2 - s.corner
@@ -106,12 +106,9 @@ def _rear_block(s: LaptopShape, bottom: float) -> list[Solid]:
         half *= 0.8
     outline = [(-half, s.rear - MM), (half, s.rear - MM), (half * 0.93, back), (-half * 0.93, back)]
     solids = [prism(np.array(outline), bottom, top)]
+    z0, z1 = bottom + 1.5 * MM, top - 1.5 * MM
     for x in np.linspace(-0.85, 0.85, 24 if s.kind == "gaming" else 9) * half:
-        fin = (
-            (x - 1.5 * MM, back - MM, bottom + 1.5 * MM),
-            (x + 1.5 * MM, back + MM, top - 1.5 * MM),
-        )
-        solids.append(box(*fin))
+        solids.append(box((x - 1.5 * MM, back - MM, z0), (x + 1.5 * MM, back + MM, z1)))
     return solids
 
 
@@ -360,13 +357,11 @@ def _bumpers(s: LaptopShape, z0: float, z1: float) -> list[Solid]:
     """Padding around the four corners; it reaches less far back than the hinge's axis."""
     out, size = min(2.5 * MM, 0.3 * s.reach), s.corner + 14 * MM
     bumpers = []
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            sign = np.array([sx, sy])
-            corner = s.middle + sign * (np.array([s.width, s.depth]) / 2 + out)
-            inner = corner - sign * size
-            low, high = np.minimum(corner, inner), np.maximum(corner, inner)
-            bumpers.append(block((*low, z0), (*high, z1), radius=5 * MM, bevel=MM))
+    for sign in np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)]):
+        corner = s.middle + sign * (np.array([s.width, s.depth]) / 2 + out)
+        inner = corner - sign * size
+        low, high = np.minimum(corner, inner), np.maximum(corner, inner)
+        bumpers.append(block((*low, z0), (*high, z1), radius=5 * MM, bevel=MM))
     return bumpers
 
 

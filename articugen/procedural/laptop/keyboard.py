@@ -75,13 +75,11 @@ class Keyboard:
     ) -> Solid:
         center = np.add(low, high) / 2
         width, depth = np.subtract(high, low) - self.gap
-        outlines = []
-        for inset in (0.0, self.taper):
-            size = width - 2 * inset, depth - 2 * inset
-            if self.corner > 0.0:
-                outlines.append(rounded_rectangle(*size, self.corner, center, segments=1))
-            else:
-                outlines.append(rectangle(*size, center))
+        sizes = [(width - 2 * inset, depth - 2 * inset) for inset in (0.0, self.taper)]
+        if self.corner > 0.0:
+            outlines = [rounded_rectangle(*size, self.corner, center, 1) for size in sizes]
+        else:
+            outlines = [rectangle(*size, center) for size in sizes]
         return stack(outlines, (z0, z1))
 
     def _enter(self, left: float, rear: float, z0: float, z1: float) -> Solid:
@@ -113,10 +111,9 @@ def _row(widths: tuple[float, ...], rear: float, depth: float = 1.0) -> list[_Ke
 def _letter_block(board: Keyboard) -> list[_Key]:
     f = board.function_row
     keys = _row((_WIDTH / board.function_keys,) * board.function_keys, 0.0, f) if f > 0.0 else []
-    keys += _row(_NUMBERS, f)
-    keys += _row(_UPPER[:-1] if board.big_enter else _UPPER, f + 1)
-    keys += _row((*_HOME[:-1], 1.0) if board.big_enter else _HOME, f + 2)
-    keys += _row(_LOWER, f + 3) + _row(_LAST_ROWS[board.last_row], f + 4)
+    upper, home = (_UPPER[:-1], (*_HOME[:-1], 1.0)) if board.big_enter else (_UPPER, _HOME)
+    for k, widths in enumerate((_NUMBERS, upper, home, _LOWER, _LAST_ROWS[board.last_row])):
+        keys += _row(widths, f + k)
     rear, middle, front = f + 4, f + 4.5, f + 5
     return [
         *keys,

@@ -142,16 +142,6 @@ class LaptopShape:
         return -self.barrel - SLIT
 
     @property
-    def lowest_lid(self) -> float:
-        """The lowest that any point of the lid behind the axis comes, at 135 degrees."""
-        return -np.sqrt(0.5) * max(self.back + self.lid_rear, 0.0)
-
-    @property
-    def rear_corner(self) -> float:
-        """The radius of the base's corners at its rear, behind the hinge."""
-        return min(self.corner, 0.8 * (self.reach + self.barrel))
-
-    @property
     def rear(self) -> float:
         return -self.reach
 
@@ -195,10 +185,8 @@ def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape
     ratio = _ASPECTS[2 + rng.integers(2)] if kind in _OLD else _ASPECTS[rng.integers(3)]
     screen = diagonal * np.array([ratio, 1.0]) / norm((ratio, 1.0))
     side = rng.uniform(*ranges.bezel) * MM
-    top, chin = (
-        side * rng.uniform(1.0, 1.6),
-        side * rng.uniform(1.3, 5.0 if kind in OTHERS else 3.0),
-    )
+    top = side * rng.uniform(1.0, 1.6)
+    chin = side * rng.uniform(1.3, 5.0 if kind in OTHERS else 3.0)
     width = screen[0] + 2 * side
     lid = rng.uniform(*ranges.lid) * width
     foot = rng.uniform(0.8, 2.0) * MM
@@ -213,9 +201,8 @@ def draw_shape(rng: np.random.Generator, *, varied: bool = False) -> LaptopShape
     else:
         barrel = min(max(girth * tall, 1.6 * MM), 0.8 * (lid + gap / 2))
         deck = -gap / 2
-        if (
-            varied and kind != "rugged" and rng.random() < 0.4
-        ):  # the lid lies as low as its hinge, or lower
+        # of some the lid lies as low as its hinge, or lower
+        if varied and kind != "rugged" and rng.random() < 0.4:
             barrel = max(min(rng.uniform(0.7, 1.1) * lid, 0.35 * tall), barrel)
             deck -= rng.uniform(0.3, 0.8) * max(barrel - gap, 0.0)
         highest = barrel

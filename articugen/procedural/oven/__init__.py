@@ -111,16 +111,14 @@ def _casing(oven: Oven, cavities: Sequence[Cavity]) -> list[Solid]:
     rim = -0.02 * oven.extent
     inner = oven.body.shrunk(oven.flange)
     start = rim if oven.flange > 0.0 else 0.0
+    radius = oven.radius if len(cavities) == 1 else 0.0
 
     def around(outer: Rect, opening: Rect, x0: float, x1: float) -> Solid:
-        corner, radius = _CORNER * opening.height, oven.radius if len(cavities) == 1 else 0.0
+        corner = _CORNER * opening.height
         return frame(outer, opening, x0, x1, outer_radius=radius, inner_radius=corner)
 
-    solids = []
-    for cavity, block, whole in zip(
-        cavities, _blocks(inner, cavities), _blocks(oven.body, cavities), strict=True
-    ):
-        radius = oven.radius if len(cavities) == 1 else 0.0
+    solids, blocks = [], (_blocks(body, cavities) for body in (inner, oven.body))
+    for cavity, block, whole in zip(cavities, *blocks, strict=True):
         solids.append(plate(block, -oven.depth, cavity.back, radius=radius))
         solids.append(around(block, cavity.opening, cavity.back, start))
         if oven.flange > 0.0:
