@@ -69,7 +69,8 @@ class Truth:
     def holds(self, points: Floats, T_world_link: Mapping[str, Floats]) -> NDArray[np.bool_]:
         """Return (N, links) whether each world point lies in each link."""
         cells = self._posed(T_world_link)
-        return _holds(_contiguous(points), cells, self.link_of_cell, len(self.links))
+        points = np.ascontiguousarray(points, np.float64)
+        return _holds(points, cells, self.link_of_cell, len(self.links))
 
     def enclosed(
         self, points: Floats, directions: Floats, T_world_link: Mapping[str, Floats]
@@ -80,7 +81,8 @@ class Truth:
         With the opposite of the viewing directions: the points that no view sees free.
         """
         cells = self._posed(T_world_link)
-        return _enclosed(_contiguous(points), _contiguous(directions), cells)
+        both = (np.ascontiguousarray(array, np.float64) for array in (points, directions))
+        return _enclosed(*both, cells)
 
     def _posed(self, T_world_link: Mapping[str, Floats]) -> _Cells:
         """Return the cells in the world frame."""
@@ -154,10 +156,6 @@ def _slab(triangle: Floats, thickness: float) -> tuple[Floats, Floats]:
     on_plane = np.stack([triangle[0] + across, triangle[0] - across, *triangle])
     box = bounds(np.concatenate([triangle + across, triangle - across]))
     return np.c_[normals, np.sum(normals * on_plane, axis=1)], box
-
-
-def _contiguous(points: Floats) -> Floats:
-    return np.ascontiguousarray(points, dtype=np.float64)
 
 
 @kernel

@@ -9,7 +9,7 @@ All builders take metres. Outlines lie in the x-y plane and are raised along z; 
 `along_y` turn the result.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -135,11 +135,7 @@ class Solid:
         """Build the mirror image: coordinate `axis` (0, 1 or 2) with the opposite sign."""
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
         cells = tuple(tuple(face[::-1] for face in cell) for cell in self.cells)
-        sheet = (
-            None
-            if self.sheet is None
-            else replace(self.sheet, triangles=self.sheet.triangles[:, ::-1] * sign)
-        )
+        sheet = self.sheet and replace(self.sheet, triangles=self.sheet.triangles[:, ::-1] * sign)
         return Solid(self.vertices * sign, cells, sheet)
 
 
@@ -176,19 +172,27 @@ def prism(outline: Floats, z0: float, z1: float, *, panel: bool = False, seen: i
         panel: see `box`.
         seen: of a panel that lies on something, the side that is seen: 1 for z1, -1 for z0.
     """
-    n = len(outline)
-    vertices = np.concatenate([np.c_[outline, np.full(n, z)] for z in (z0, z1)])
-    cells = []
-    for piece in convex_pieces(outline):
-        after = [*piece[1:], piece[0]]
-        sides = [(i, j, j + n, i + n) for i, j in zip(piece, after, strict=True)]
-        cells.append((tuple(piece[::-1]), tuple(i + n for i in piece), *sides))
-    solid = Solid(vertices, tuple(cells))
+    pieces = convex_pieces(outline)
+    solid = _raised(outline, pieces, z0, z1)
     if not panel:
         return solid
-    middle = np.c_[outline, np.full(n, (z0 + z1) / 2)]
-    triangles = _triangles(middle, [tuple(piece) for piece in convex_pieces(outline)])
+    middle = _at_height(outline, (z0 + z1) / 2)
+    triangles = _triangles(middle, [tuple(piece) for piece in pieces])
     return replace(solid, sheet=Sheet(middle[triangles], z1 - z0, seen))
+
+
+def _raised(flat: Floats, pieces: Iterable[Sequence[int]], z0: float, z1: float) -> Solid:
+    """Build a cell over each of some convex pieces, which count the vertices `flat` (n, 2)."""
+    n, cells = len(flat), []
+    for piece in pieces:
+        after = (*piece[1:], piece[0])
+        sides = [(i, j, j + n, i + n) for i, j in zip(piece, after, strict=True)]
+        cells.append((tuple(piece[::-1]), tuple(i + n for i in piece), *sides))
+    return Solid(np.concatenate([_at_height(flat, z) for z in (z0, z1)]), tuple(cells))
+
+
+def _at_height(flat: Floats, z: float) -> Floats:
+    return np.c_[flat, np.full(len(flat), z)]
 
 
 def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:
@@ -217,7 +221,7 @@ def loft(rings: ArrayLike, *, closed: bool = False) -> Solid:
 
 def stack(outlines: Sequence[Floats], heights: Sequence[float]) -> Solid:
     """Convex outlines of equal length (n, 2), one at each height, upwards: bevels, cones, domes."""
-    return loft([np.c_[o, np.full(len(o), z)] for o, z in zip(outlines, heights, strict=True)])
+    return loft([_at_height(o, z) for o, z in zip(outlines, heights, strict=True)])
 
 
 def cylinder(radius: float, z0: float, z1: float, *, sides: int = 24, bevel: float = 0.0) -> Solid:
@@ -262,15 +266,8 @@ def ring(outer: Floats, inner: Floats, z0: float, z1: float) -> Solid:
     with a hole. Vertex i of both is joined by a cut, so each piece between two cuts must be convex
     (`outlines.matched` makes it so)."""
     n = len(outer)
-    flat = np.concatenate([outer, inner])
-    vertices = np.concatenate([np.c_[flat, np.full(2 * n, z)] for z in (z0, z1)])
-    cells = []
-    for i in range(n):
-        j = (i + 1) % n
-        piece = (i, j, n + j, n + i)
-        sides = [(p, q, q + 2 * n, p + 2 * n) for p, q in zip(piece, (*piece[1:], i), strict=True)]
-        cells.append((piece[::-1], tuple(p + 2 * n for p in piece), *sides))
-    return Solid(vertices, tuple(cells))
+    pieces = [(i, j, n + j, n + i) for i in range(n) for j in [(i + 1) % n]]
+    return _raised(np.concatenate([outer, inner]), pieces, z0, z1)
 
 
 def sweep(
