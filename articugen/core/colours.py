@@ -92,6 +92,5 @@ def part_colours(labels: Sequence[int], dominant: Sequence[int]) -> list[str]:
 def shaded(colour: str, shade: float) -> str:
     """#rrggbb mixed with white (`shade` above 0, up to 1) or with black (below 0)."""
     toward = 255 if shade > 0 else 0
-    channels = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    mixed = [round((1.0 - abs(shade)) * c + abs(shade) * toward) for c in channels]
-    return "#" + "".join(f"{c:02x}" for c in mixed)
+    mixed = (round((1.0 - abs(shade)) * c + abs(shade) * toward) for c in rgb(colour))
+    return f"#{bytes(mixed).hex()}"

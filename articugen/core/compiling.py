@@ -12,8 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import EntryPoint, version
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -76,8 +75,7 @@ def compile_all() -> None:
 
 
 def _warm_up(name: str) -> None:
-    module, _, function = name.partition(":")
-    getattr(import_module(f"articugen.{module}"), function)()
+    EntryPoint("", f"articugen.{name}", "").load()()
 
 
 def tetrahedron() -> LabelledMesh:

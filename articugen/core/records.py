@@ -184,11 +184,8 @@ class ArticulatedObject:
         """
         rank = {name: k for k, name in enumerate(self.part_order)}
         moving = [j for j in self.joints if j.kind != JointKind.FIXED]
-        return tuple(
-            sorted(
-                moving, key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank)))
-            )
-        )
+        moving.sort(key=lambda j: (j.kind == JointKind.PRISMATIC, rank.get(j.name, len(rank))))
+        return tuple(moving)
 
     @property
     def part_of_link(self) -> NDArray[np.int32]:
