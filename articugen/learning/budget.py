@@ -65,9 +65,8 @@ def _pace(what: Training, notify: Notify) -> tuple[float, list[float], float]:
         stage.model_copy(update={"iterations": count})
         for stage, count in zip(recipe.schedule.stages, counts, strict=True)
     ]
-    tried = recipe.model_copy(
-        update={"schedule": recipe.schedule.model_copy(update={"stages": tuple(stages)})}
-    ).scaled(1.0, 1)
+    schedule = recipe.schedule.model_copy(update={"stages": tuple(stages)})
+    tried = recipe.model_copy(update={"schedule": schedule}).scaled(1.0, 1)
     clock, ends = loop.clock_of(what.device), []
     begun = clock()
 

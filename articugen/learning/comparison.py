@@ -80,10 +80,8 @@ class Entry:
             if path.parent.name == "pace":
                 continue
             recipe = RunFolder(path.parent).recipe()
-            if wanted.sha256() not in (
-                recipe.budget and recipe.budget.recipe_sha256,
-                recipe.sha256(),
-            ):
+            before = recipe.budget and recipe.budget.recipe_sha256  # it was scaled
+            if wanted.sha256() not in (before, recipe.sha256()):
                 raise InvalidCheckpoint(
                     f"{path}: is of another recipe {wanted.name}; move {self.what.runs} away"
                 )

@@ -143,12 +143,11 @@ def cells_of(
             occupied = grid > 0
             if kind == "band":
                 chosen = [band(inside) for inside in occupied]
+            elif spec.finds_objects:  # an object may have been found once
+                around = zip(differing(occupied, names), map(band, occupied), strict=True)
+                chosen = [mask if mask.any() else band for mask, band in around]
             else:
                 chosen = differing(occupied, names)
-            if kind == "varying" and spec.finds_objects:  # an object may have been found once
-                around = zip(chosen, map(band, occupied), strict=True)
-                chosen = [mask if mask.any() else band for mask, band in around]
-            elif kind == "varying":
                 check_varies(path, names, chosen)
             row[kind], row[f"{kind}_count"] = pack(kind, chosen, occupied, names, states)
     return row

@@ -74,8 +74,7 @@ class NPCSLearner(NetworkLearner):
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return the weighted sum of both losses, and each."""
         rows = np.linspace(0, len(held_out) - 1, min(VALIDATED, len(held_out))).astype(int)
-        rng = torch.Generator(self.device)
-        rng.manual_seed(0)
+        rng = torch.Generator(self.device).manual_seed(0)
         resolution = self.settings.schedule.stages[0].resolution
         batch = held_out.batch(rows.tolist(), self.inputs, resolution, rng)
         boxes = boxes_of(held_out, self.network.parts)

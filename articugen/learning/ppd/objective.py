@@ -6,7 +6,6 @@ Terms are weighted and named; a recipe's weight of 0 leaves a term out and costs
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -171,12 +170,12 @@ def release_terms(
     }
 
 
-def mixed_terms(*arguments: Any) -> Unasked:
-    """Return the release's, but for L_dev, which is the paper's."""
-    return {**release_terms(*arguments), "dev": paper_terms(*arguments)["dev"]}
-
-
-FORMS = {"paper": paper_terms, "mixed": mixed_terms, "release": release_terms}
+FORMS: dict[str, Callable[..., Unasked]] = {
+    "paper": paper_terms,
+    "mixed": lambda *some: release_terms(*some) | {"dev": paper_terms(*some)["dev"]},
+    "release": release_terms,
+}
+"""By the recipe's name; mixed is the release's, but for L_dev, which is the paper's."""
 
 
 def _volume(model: PPD, shape: ShapeCode, fields: PartLogits, batch: Batch, of: str) -> Tensor:

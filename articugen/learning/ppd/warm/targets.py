@@ -285,17 +285,15 @@ def assigned(discovery: Joints, model: ModelSettings) -> list[tuple[int, float] 
     reads, row by row, so that they mean the same in objects with as many parts.
     A joint for which no candidate of its kind is left gets None.
     """
-    taken: list[tuple[int, float] | None] = [None] * len(discovery.joints)
+    joints = discovery.joints
+    taken: list[tuple[int, float] | None] = [None] * len(joints)
     for kind, first in ((JointKind.REVOLUTE, 0), (JointKind.PRISMATIC, len(model.revolute))):
         directions = directions_of(model)[kind]
-        indices = [j for j, joint in enumerate(discovery.joints) if joint.kind == kind][
-            : len(directions)
-        ]
+        indices = [j for j, joint in enumerate(joints) if joint.kind == kind][: len(directions)]
         if indices:
-            indices = [
-                indices[i] for i in _as_read(np.array([discovery.joints[j].pivot for j in indices]))
-            ]
-            along = np.array([discovery.joints[j].axis for j in indices]) @ directions.T
+            order = _as_read(np.array([joints[j].pivot for j in indices]))
+            indices = [indices[i] for i in order]
+            along = np.array([joints[j].axis for j in indices]) @ directions.T
             cost = (4.0 * (1.0 - np.abs(along)) + _FLIPPED * (along < 0)).round(1)
             options = permutations(range(len(directions)), len(indices))
             best = min(options, key=lambda slots: sum(cost[i, s] for i, s in enumerate(slots)))
