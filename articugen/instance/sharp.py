@@ -148,9 +148,7 @@ def sharp_points(
             break
     if have == 0:
         again = np.arange(count) % len(surface.points)
-        return SurfacePoints(
-            surface.points[again], surface.normals[again], surface.part[again], surface.face[again]
-        )
+        return SurfacePoints(**{name: values[again] for name, values in vars(surface).items()})
     chosen = np.arange(count) % have
     edge = np.concatenate([e for _, e in kept])[chosen]
     points = np.concatenate([p for p, _ in kept])[chosen]

@@ -186,7 +186,8 @@ def of_dae(data: bytes, looks: Looks, path: Path, files: ModelFiles) -> ScenePai
             bound = {material.symbol: material.target for material in node.materials}
             nodes[node] = [
                 coat(primitive, bound.get(primitive.material))
-                for primitive in map(_as_triangles, node.geometry.primitives)
+                for p in node.geometry.primitives
+                for primitive in [p.triangleset() if hasattr(p, "triangleset") else p]
                 if isinstance(primitive, triangleset.TriangleSet) and primitive.vertex is not None
             ]
         yield from nodes[node]
@@ -196,10 +197,6 @@ def of_dae(data: bytes, looks: Looks, path: Path, files: ModelFiles) -> ScenePai
     document: Any = Collada(io.BytesIO(data), ignore=[DaeError])
     every = [coat for node in document.scene.nodes for coat in walk(node)]
     return lambda _scene, shown: _painted(looks, every, shown)
-
-
-def _as_triangles(primitive: Any) -> Any:
-    return primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
 
 
 def _of_effect(diffuse: Any, looks: Looks, path: Path, files: ModelFiles) -> Material:
