@@ -347,10 +347,8 @@ def _between_notches(s: LaptopShape, notches: list[tuple[float, float]]) -> list
         edges += [a - SLIT / 2, b + SLIT / 2]
     edges.sort()
     low = min(s.shelf, s.deck - s.well) - 0.5 * MM
-    return [
-        prism(_behind(s, left, right), low, s.deck)
-        for left, right in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    spans = zip(edges[::2], edges[1::2], strict=True)
+    return [prism(_behind(s, *span), low, s.deck) for span in spans]
 
 
 def _bumpers(s: LaptopShape, z0: float, z1: float) -> list[Solid]:

@@ -103,10 +103,8 @@ def _rectangles(d: SimpleNamespace) -> dict[str, Any]:
             doors = [_hung(a, floor, b, ceiling, d.thickness) for a, b in spans]
         case "two above":
             middle = floor + d.middle * (ceiling - floor)
-            doors = [
-                _hung(left, z, right, end, d.thickness)
-                for z, end in ((floor, middle), (middle + 0.02, ceiling))
-            ]
+            spans = ((floor, middle), (middle + 0.02, ceiling))
+            doors = [_hung(left, z, right, end, d.thickness) for z, end in spans]
         case "tower":
             low = floor + d.below * (ceiling - floor - d.tall)
             high = low + d.tall

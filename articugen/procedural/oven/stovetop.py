@@ -34,11 +34,8 @@ def _row_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect, T: Floats
         places = row(0.0, half, min(count + 2, most))
     else:
         spread = 0.55 * half
-        places = [
-            s * y
-            for y in row(half - spread / 2 - radius, spread / 2, count // 2)
-            for s in (-1.0, 1.0)
-        ]
+        right = row(half - spread / 2 - radius, spread / 2, count // 2)
+        places = [s * y for y in right for s in (-1.0, 1.0)]
         inner = min(abs(y) for y in places) - 1.6 * radius
         solids += _display(rng, min(inner, 0.16), 0.3 * rect.height, 0.012 * e)
     for y in places:
@@ -51,13 +48,12 @@ def _column_of_controls(rng: np.random.Generator, oven: Oven, rect: Rect) -> lis
     radius = min(0.3 * rect.width, 0.34 * rect.height / count)
     kind = str(rng.choice(["plain", "grip", "cone"]))
     y, z = rect.center
-    solids = []
-    for height in row(z, rect.height / 2, count):
-        if count > 2 and height == max(row(z, rect.height / 2, count)) and rng.uniform() < 0.4:
-            shown = _display(rng, 0.36 * rect.width, 0.7 * radius, 0.012 * oven.extent)
-            solids += [s.shifted(oven.thickness, y, height) for s in shown]
-            continue
-        control = knob(kind, radius, 0.8 * radius)
+    solids, heights = [], row(z, rect.height / 2, count)
+    for height in heights:
+        if count > 2 and height == max(heights) and rng.uniform() < 0.4:
+            control = _display(rng, 0.36 * rect.width, 0.7 * radius, 0.012 * oven.extent)
+        else:
+            control = knob(kind, radius, 0.8 * radius)
         solids += [s.shifted(oven.thickness, y, height) for s in control]
     return solids
 

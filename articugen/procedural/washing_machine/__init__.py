@@ -172,10 +172,8 @@ def _hatch(rng: np.random.Generator, strip: Rect, x: float, e: float) -> list[So
     if rng.uniform() < 0.5:
         disc = along_x(tapered((half, half, 0.9 * half), (x, x + 0.4 * e, x + 0.6 * e), 24))
         return [kick_plate, disc.shifted(y=y, z=z)]
-    return [
-        kick_plate,
-        plate(Rect(y - 1.6 * half, z - half, y + 1.6 * half, z + half), x, x + 0.6 * e),
-    ]
+    cover = Rect(y - 1.6 * half, z - half, y + 1.6 * half, z + half)
+    return [kick_plate, plate(cover, x, x + 0.6 * e)]
 
 
 def _hinge(washer: Washer) -> list[Solid]:
