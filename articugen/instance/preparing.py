@@ -213,7 +213,6 @@ def _prepared(
     static = backend.render(parts[0].mesh, views)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
-    is_seen = np.concatenate([part.seen for part in parts])
     bvh = fusion.joined_bvh(parts)
     paint = Paint.of(obj, soup, parts) if recipe.shows_colours else None
     rng = partial(generator, seed, obj.category, obj.object_id)
@@ -226,7 +225,7 @@ def _prepared(
         canonical=canonical,
         unit=unit,
         mesh=mesh,
-        seen=is_seen,
+        seen=np.concatenate([part.seen for part in parts]),
         bvh=bvh,
         views=views,
         closed=np.concatenate([part.closed for part in parts]),

@@ -59,9 +59,8 @@ class Entry:
 
     def _run(self, seed: int) -> None:
         path, notify = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
-        what = self.what.named(str(seed))
-        recipe = self._scaled(notify)
-        what = replace(what, recipe=recipe, seed=seed)
+        named, recipe = self.what.named(str(seed)), self._scaled(notify)
+        what = replace(named, recipe=recipe, seed=seed)
         if what.resume and (path / "evaluation" / FILE).is_file():
             what.resumed(path)  # or raise that it is another one
             return
