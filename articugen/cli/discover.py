@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from articugen.cli.options import argument, offered
 from articugen.cli.saying import counting_bar, say, stderr, stdout
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @offered(
     "articugen discover data/laptop",
     "articugen discover closed.ply ajar.ply open.ply --json joints.json",
+    "articugen discover data/laptop --view 0",
     "articugen discover data/laptop --groups",
     "articugen discover data/laptop --shared",
 )
@@ -35,6 +36,12 @@ def discover(
     ),
     poses: int | None = option(
         None, "Poses of each object of a data set.", min=2, show_default="all"
+    ),
+    view: int | None = option(
+        None,
+        "Use what this camera of each instance of a data set sees, counted from 0, instead of "
+        "whole surfaces.",
+        show_default=False,
     ),
     joints: Sequence[str] = option(
         (),
@@ -58,7 +65,9 @@ def discover(
 
     if groups and shared:
         raise InvalidArgument("--groups and --shared are two questions; ask one at a time")
-    needs = "--groups" if groups else "--shared" if shared else ""
+    if view is not None and (groups or shared):
+        raise InvalidArgument("--groups and --shared need whole surfaces; leave out --view")
+    needs = "--groups" if groups else "--shared" if shared else "" if view is None else "--view"
     found_joints.check_poses(paths, option=needs)
     if output is not None:
         check_place(output)
@@ -78,7 +87,7 @@ def discover(
         _print("", discovery)
         numbers = {"joints": found_joints.as_json(discovery)}
     else:
-        objects = _of_data_set(paths[0], poses, joints)
+        objects = _of_data_set(paths[0], poses=poses, view=view, joints=joints)
         numbers = [
             {
                 "object": o.object_id,
@@ -129,7 +138,7 @@ def _print_shared(category: "CategoryJoints") -> None:
     )
 
 
-def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[ObjectJoints]":
+def _of_data_set(path: Path, **options: Any) -> "list[ObjectJoints]":
     from articugen.discovery import objects as found_joints
 
     done = count(1)
@@ -143,7 +152,7 @@ def _of_data_set(path: Path, poses: int | None, joints: Sequence[str]) -> "list[
 
     with counting_bar() as count_object:
         data = found_joints.open_data_set(path)
-        objects = found_joints.discover_all(data, poses=poses, joints=joints, on_object=tell)
+        objects = found_joints.discover_all(data, on_object=tell, **options)
     say(_summary(objects))
     return objects
 
@@ -168,10 +177,13 @@ def _table(joints: "Sequence[FoundJoint]") -> "Table":
     table = quiet_table("joint", "axis", "pivot", "states", ">score")  # 80 columns; JSON has more
     for joint in joints:
         turns = joint.kind == JointKind.REVOLUTE
-        low, high = joint.states.min(), joint.states.max()
+        known = joint.states[np.isfinite(joint.states)]
+        low, high = known.min(), known.max()
         span = (
             f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°" if turns else f"{low:.3f}..{high:.3f}"
         )
+        if len(known) < len(joint.states):
+            span += f", {len(known)} of {len(joint.states)}"
         table.add_row(
             str(joint.kind), vector(joint.axis, 2), vector(joint.pivot, 3), span,
             f"{joint.score:.2f}",
@@ -187,8 +199,10 @@ def _summary(objects: "Sequence[ObjectJoints]") -> str:
     errors += [f"{slid:.4f} of the unit frame"] if slid is not None else []
     motions = f"E {far:.4f}; " if far is not None else ""
     seconds = sum(o.seconds for o in objects) / max(len(objects), 1)
+    unanswered = sum(bool(o.why) for o in objects)
+    refused = f" ({unanswered} without an answer)" if unanswered else ""
     return (
-        f"{counted(len(objects), 'object')}, right in all joints: number "
+        f"{counted(len(objects), 'object')}{refused}, right in all joints: number "
         f"{share(objects, 'count'):.0%}, kind {share(objects, 'kind'):.0%}, axis within {AXIS:g} "
         f"degrees {share(objects, 'axis'):.0%}, pivot within {PIVOT:g} "
         f"{share(objects, 'pivot'):.0%}, states within these {share(objects, 'states'):.0%}; "

@@ -1,15 +1,9 @@
 """The joints of an object, found from several poses of it, or those that objects of a category
 share, from one pose of each; without labels."""
 
-from articugen.discovery.discover import (
-    KINDS,
-    LEAN,
-    Directions,
-    Discovery,
-    FoundJoint,
-    Joints,
-    discover,
-)
+from articugen.discovery.discover import KINDS, LEAN, Directions, discover
+from articugen.discovery.joints import Discovery, FoundJoint, Joints
+from articugen.discovery.one_camera import discover_views
 from articugen.discovery.ownership import Ownership, parts_of_surface
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
 
@@ -25,5 +19,6 @@ __all__ = [
     "SharedJoint",
     "discover",
     "discover_shared",
+    "discover_views",
     "parts_of_surface",
 ]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from articugen.core.errors import InvalidArgument
 from articugen.core.records import Floats, Normalization
 from articugen.discovery import kernels
+from articugen.discovery.views import Sight
 from articugen.meshes.points import finite
 
 MOST_POINTS = 8192  # points of a pose that are searched; more are thinned to so many
@@ -99,6 +100,12 @@ class Cells:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def pose(self, k: int) -> Surface:
+        """Return the points of one pose, sorted."""
+        begin, end = self.starts[k][[0, -1]]
+        outward = self.normals[begin:end] if self.signed else None
+        return Surface.bare(self.points[begin:end], outward)
+
     def within(self, reach: float) -> NDArray[np.uint8]:
         """Return (G, VOTES^3) the bits by which `kernels.is_void` knows what is out of reach."""
         steps = int(np.ceil(reach * kernels.VOTES))
@@ -170,6 +177,8 @@ class Change:
         stays: what of pose 0 does not move, in cells.
         gone: (S, n) what of pose 0 is not in them, nor behind what is.
         movers: (n,) what of pose 0 has moved, for all one can see.
+        sight: what cameras see of the searched poses, `all_sight` of all, pose 0 first; None where
+            all of them is seen.
     """
 
     frame: Normalization
@@ -183,11 +192,18 @@ class Change:
     stays: Cells
     gone: NDArray[np.bool_]
     movers: NDArray[np.bool_]
+    all_sight: Sight | None = None
+
+    @property
+    def sight(self) -> Sight | None:
+        return None if self.all_sight is None else self.all_sight[self.chosen]
 
 
-def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change:
+def change(
+    poses: Sequence[Any], normals: Sequence[Any] | None = None, cameras: Floats | None = None
+) -> Change:
     """Return what changes between the poses of one object, with `normals` of their points out of
-    the material where they are known.
+    the material where they are known; or what changes for all that `cameras` (K, 3) see, one each.
 
     Raises:
         InvalidArgument: there is one pose only, one is no cloud of points, they share no frame, or
@@ -212,8 +228,9 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
     near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
     others = Cells.of(clouds[1:], near)
-    left = _left(points[0], others)
-    if left.max() > 1.0 - _STAYS:
+    sight = None if cameras is None else Sight.of(points, frame.to_unit(cameras))
+    left = _left(points[0], others) if sight is None else sight.free(points[0])[1:].mean(1)
+    if sight is None and left.max() > 1.0 - _STAYS:
         raise InvalidArgument(
             f"pose {left.argmax() + 1} has next to nothing where pose 0 has matter: they share no "
             "frame, or no part of the object stays; bring all poses into one frame, that of the "
@@ -224,11 +241,15 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
     if normals is None:
         surfaces = [surface.shaped(Cells.of([surface]), near) for surface in surfaces]
     searched = Cells.of(surfaces, near)
-    gone = ~searched.met(start, still(len(chosen)), near)
-    if start.signed:  # a face closely opposite hides it: the floor of a drawer the board below
+    gone, shown = ~searched.met(start, still(len(chosen)), near), len(chosen)
+    if sight is not None:
+        free, shown = sight[chosen].free(start.points), (~gone).sum(0)
+        gone &= free
+        shown = shown + gone.sum(0)
+    elif start.signed:  # a face closely opposite hides it: the floor of a drawer the board below
         over = replace(start, normals=-start.normals)
         gone &= ~searched.met(over, still(len(chosen)), near, gone)
-    often = gone.sum(axis=0) >= max(1, round(len(gone) / 4))
+    often = gone.sum(axis=0) >= np.maximum(1, np.round(shown / 4))
     movers = often & (_share_about(points[0], often, near) > 0.5)
     if movers.sum() < max(12, 0.002 * len(movers)):
         raise InvalidArgument(
@@ -236,13 +257,17 @@ def change(poses: Sequence[Any], normals: Sequence[Any] | None = None) -> Change
             "give poses in which a joint has another state"
         )
     stays = Cells.of([start[~movers]], near)
-    new = [_new(surface, stays, near) for surface in surfaces]
+    new = [surface[is_new(surface, stays, near, sight)] for surface in surfaces]
     if len(new) >= TELLING:
         new = _rare(new, searched, near)
     elif start.signed:
         new = [_uncovered(surface, first) for surface in new]
+    if not any(map(len, new)):
+        raise InvalidArgument("nothing moves to where pose 0 is known to have nothing")
     targets = Cells.of(new, near)
-    return Change(frame, others, near, start, first, chosen, searched, targets, stays, gone, movers)
+    return Change(
+        frame, others, near, start, first, chosen, searched, targets, stays, gone, movers, sight
+    )
 
 
 def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> NDArray[Any]:
@@ -317,10 +342,13 @@ def _share_about(cloud: Floats, flags: NDArray[np.bool_], near: float) -> Floats
     return about[:, 1] / np.maximum(about[:, 0], 1.0)
 
 
-def _new(surface: Surface, stays: Cells, near: float) -> Surface:
-    """Return points of a pose that are where nothing stays, as most of those around them are."""
+def is_new(surface: Surface, stays: Cells, near: float, sight: Sight | None) -> NDArray[np.bool_]:
+    """Return (n,) which points of a pose are where nothing stays, as most of those around them are;
+    with cameras, where that of pose 0 sees through."""
     far = ~stays.met(surface, still(1), near)[0]
-    return surface[far & (_share_about(surface.points, far, near) > 0.4)]
+    if sight is not None:
+        far &= sight[:1].free(surface.points)[0]
+    return far & (_share_about(surface.points, far, near) > 0.4)
 
 
 def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
-from articugen.discovery import kernels
 from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
 from articugen.discovery.fitting import fitted, some, states_of
-from articugen.discovery.search import EVERY_WAY, Candidate, Search, motions
+from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
+from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
 
 Directions = Mapping[JointKind, Floats]
 
@@ -38,69 +37,19 @@ _RIGHT, _WRONG = 0.4, 0.2  # a joint that a point follows is right in so many po
 _AGREES = 0.6  # a joint is fitted to points that it lays on something in so many poses
 _WORTH = 0.04  # a joint explains at least this share of all that has left
 _ALONE = 0.15  # and of what it explains best no other does this share at least
-_STAYS = 0.1  # by so much a joint must bring a point nearer to the poses than it is if it stays
-_SURE = 0.2  # by so much the next part is farther, where a point is sure of its own
 
 # What is preferred where both explain about as much; the more, the fewer poses say which is right:
 _SLIDES_FIRST = 1.05  # a slide along x, y or z, which has two parameters fewer, to a turn
 _ASKEW = 0.97  # any other slide
 _FAR_TURNS = 0.03  # a lesser turn, by this share a radian: a plate may have been turned over
 _FAR_AXES = 0.5  # an axis by its part, by this share a unit: a hinge does not hang in the air
-_PLAIN = 1.03  # the coordinate axis nearest to one, that of turns no farther than 12 degrees
-_BESIDE = np.cos(np.radians(12.0))
+PLAIN = 1.03  # the coordinate axis nearest to one, that of turns no farther than 12 degrees
+BESIDE = np.cos(np.radians(12.0))
 _SAME_WAY = 0.99  # directions are one where the cosine between them, of any sign, is no less
 
 # How far a point may be from where it should land as a candidate grows: so many times `near`, or
 # `_WIDE` where that is more.
 _GROWS, _WIDE = (2.0, 2.0, 2.0, 2.0, 1.5), 0.015
-
-
-@dataclass(frozen=True, eq=False)
-class FoundJoint:
-    """A joint, in the frame of the clouds.
-
-    Attributes:
-        kind: REVOLUTE or PRISMATIC.
-        axis: (3,) unit direction, such that the mean of `states` is not negative.
-        pivot: (3,) a point on the axis, beside its part; of a slide, the middle of the part.
-        states: (K,) of each pose, radians or lengths; 0 in pose 0.
-        score: which share of the part's points, where they have left, land on something new.
-    """
-
-    kind: JointKind
-    axis: Floats
-    pivot: Floats
-    states: Floats
-    score: float
-
-
-@dataclass(frozen=True, eq=False)
-class Joints:
-    """The `joints` of an object, that with most points first; j + 1 is the part that j moves."""
-
-    joints: tuple[FoundJoint, ...]
-
-    def motion(self, pose: int) -> Floats:
-        """Return (P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the
-        identity. A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
-        T = np.tile(np.eye(4), (len(self.joints) + 1, 1, 1))
-        for j, joint in enumerate(self.joints):
-            which = joint.kind == JointKind.REVOLUTE, joint.axis, joint.pivot, joint.states[[pose]]
-            T[j + 1, :3] = motions(Candidate(*which))[0]
-        return T
-
-
-@dataclass(frozen=True, eq=False)
-class Discovery(Joints):
-    """Joints and parts of an object, as found.
-
-    Attributes:
-        points: (n, 3) of pose 0, as given.
-        part: (n,) 0 for what stays, j + 1 for what joint j moves.
-    """
-
-    points: Floats
-    part: Ints
 
 
 def discover(
@@ -129,7 +78,7 @@ def discover(
             nothing moves; normals are not one for each point.
     """
     diff = change(poses, normals)
-    search = _Found(diff, kinds, directions or {})
+    search = Finder(diff, kinds, directions or {})
     search.look_for_joints()
     joints = search.settled()
     outward = None if normals is None else np.asarray(normals[0], np.float64)
@@ -164,7 +113,7 @@ def _alike(one: _Grown, other: _Grown) -> bool:
     return one.joint.turns == other.joint.turns and both > 0.85 * any_
 
 
-class _Found:
+class Finder:
     """The search for joints, and what it has found so far."""
 
     def __init__(self, diff: Change, kinds: Collection[JointKind], directions: Directions) -> None:
@@ -218,7 +167,7 @@ class _Found:
     def _liking(self, joint: Candidate, points: Floats) -> float:
         """Return by how much it is preferred to others that explain as much of its points."""
         if not joint.turns:
-            return _SLIDES_FIRST if np.abs(joint.axis).max() > _BESIDE else _ASKEW
+            return _SLIDES_FIRST if np.abs(joint.axis).max() > BESIDE else _ASKEW
         off = points - joint.pivot
         off -= (off @ joint.axis)[:, None] * joint.axis
         away = float(np.sqrt((off**2).sum(1).min(initial=1.0)))
@@ -247,13 +196,13 @@ class _Found:
             for patch in patches
             for joint in self._voted(patch)
         ]
-        seeds = [self._explained(seed, reach, _SOME) for seed in seeds]
+        seeds = [self.explained(seed, reach, _SOME) for seed in seeds]
         seeds.sort(key=lambda seed: -self._gain(seed, _SOME))
         unlike, most = list[_Grown](), self.width * _GROWN
         for seed in seeds:
             if len(unlike) < most and not any(_alike(seed, other) for other in unlike):
                 unlike.append(seed)
-        return [self._grow(self._explained(seed.joint, reach)) for seed in unlike]
+        return [self._grow(self.explained(seed.joint, reach)) for seed in unlike]
 
     def _voted(self, patch: NDArray[np.intp]) -> list[Candidate]:
         which, most = self.movers[patch], self.width * np.array([3, 4, 2])
@@ -273,9 +222,9 @@ class _Found:
         for reach in (*(grows * max(near, _WIDE) for grows in _GROWS), near):
             core = some(np.flatnonzero(grown.follow & self.left), _CORE)
             if len(core) < 12:
-                return self._explained(grown.joint, near)
+                return self.explained(grown.joint, near)
             joint = fitted(grown.joint, self.part[core], targets, reach, 3)
-            grown = self._explained(joint, reach)
+            grown = self.explained(joint, reach)
         return grown
 
     def _polished(self, grown: _Grown) -> _Grown:
@@ -285,9 +234,9 @@ class _Found:
         if len(core) < 12:
             return replace(grown, polished=True)
         tried = [grown, self._revoted(grown.joint, core, tilts=True)]
-        if not grown.joint.turns or np.abs(grown.joint.axis).max() > _BESIDE:
+        if not grown.joint.turns or np.abs(grown.joint.axis).max() > BESIDE:
             tried.append(self._revoted(grown.joint.snapped(), core, tilts=False))
-        gains = [self._gain(one) * _PLAIN ** (self.prior * (n == 2)) for n, one in enumerate(tried)]
+        gains = [self._gain(one) * PLAIN ** (self.prior * (n == 2)) for n, one in enumerate(tried)]
         return replace(tried[int(np.argmax(gains))], polished=True)
 
     def _revoted(self, joint: Candidate, core: NDArray[np.intp], *, tilts: bool) -> _Grown:
@@ -299,10 +248,10 @@ class _Found:
             joint = replace(joint, states=states)
             for reach in (2.0 * wide, near):
                 joint = fitted(joint, self.part[core], poses, reach, 4, tilts=tilts)
-            now = self._explained(joint, near)
+            now = self.explained(joint, near)
             if best is None or self._gain(now) > self._gain(best):
                 best = now
-            around = self._explained(joint, 2.0 * wide).follow & self.left
+            around = self.explained(joint, 2.0 * wide).follow & self.left
             again = some(np.flatnonzero(around), _CORE)
             if len(again) < 12:
                 break
@@ -310,15 +259,19 @@ class _Found:
         assert best is not None
         return best
 
-    def _explained(self, joint: Candidate, reach: float, among: slice = _ALL) -> _Grown:
+    def explained(self, joint: Candidate, reach: float, among: slice = _ALL) -> _Grown:
         """Return what a candidate explains of the movers: where a point has left and lands on
         something new it is right, where it lands on nothing it is wrong; what was hidden in pose 0
-        and is there in most others says neither."""
+        and is there in most others says neither, nor does what a camera would not see."""
         M, part, gone = motions(joint), self.part[among], self.gone[:, among]
         right = self.change.targets.met(part, M, reach, gone)
-        left = np.maximum(gone.sum(0), 1)
+        shown, sight = gone, self.change.sight
+        if sight is not None:
+            there = self.change.poses.met(part, M, reach, gone)
+            shown = there | gone & sight.free(carried(M, part.points))
+        left = np.maximum(shown.sum(0), 1)
         follow = right.sum(0) >= _RIGHT * left
-        wrong = gone & ~right & follow  # what is new in a pose is of it
+        wrong = shown & ~right & follow  # what is new in a pose is of it
         wrong &= ~self.change.poses.met(part, M, reach, wrong)
         follow &= wrong.sum(0) <= _WRONG * left
         return _Grown(joint, right, wrong, follow)
@@ -352,7 +305,7 @@ class _Found:
         if joint.turns:
             return as_it_is
         snapped, as_many = refit(joint.snapped(), tilts=False)
-        return snapped if as_many * _PLAIN**self.prior >= hits else as_it_is
+        return snapped if as_many * PLAIN**self.prior >= hits else as_it_is
 
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
         """Without those that explain too little that no other joint does."""
@@ -367,7 +320,7 @@ class _Found:
             )
             if needed.min() >= 1.0:
                 break
-            right = [self._explained(joint, self.change.near).right.sum(0) for joint in joints]
+            right = [self.explained(joint, self.change.near).right.sum(0) for joint in joints]
             liked = [
                 self._liking(joint, self.part.points[hit > 0]) * hit.sum()
                 for joint, hit in zip(joints, right, strict=True)
@@ -393,57 +346,20 @@ def _told(
     """Labels, states of all poses and scores, in the frame of the clouds."""
     cloud = np.ascontiguousarray(diff.frame.to_unit(points))
     surface = Surface.bare(cloud, outward).shaped(diff.first, diff.near)
-    part = _labels(diff, joints, surface)
-    order = np.argsort([-(part == j + 1).sum() for j in range(len(joints))], kind="stable")
-    parts = [(joints[j], surface[part == j + 1]) for j in order if (part == j + 1).any()]
-    fixed = Cells.of([surface[part == 0]], diff.near)
-    complete = [_joint(diff, joint, of_part, fixed) for joint, of_part in parts]
-    number = np.zeros(len(joints) + 1, np.int64)
-    number[1 + order] = 1 + np.arange(len(joints))
-    return Discovery(tuple(complete), points, number[part])
-
-
-def _labels(diff: Change, joints: list[Candidate], surface: Surface) -> Ints:
-    """Return (n,) of each point what leaves it nearest to the poses; where that is a tie, as most
-    of its neighbours that are sure."""
-    if not joints:
-        return np.zeros(len(surface), np.int64)
     far = [diff.poses.distances(surface, M, diff.near) for M in _moved(diff, joints)]
     cost = np.minimum(far, diff.near).mean(1) / diff.near
-    cost[1:] += _STAYS
-    best = cost.argmin(0)
-    ranked = np.sort(cost, axis=0)
-    sure = ranked[1] - ranked[0] >= _SURE
-    about = _as_neighbours(surface.points, best, sure, len(joints) + 1, diff.near)
-    return np.where(sure, best, about)
-
-
-def _as_neighbours(
-    cloud: Floats, label: Ints, sure: NDArray[np.bool_], count: int, near: float
-) -> Ints:
-    if not sure.any():
-        return label
-    cells = Cells.of([Surface.bare(cloud[sure])])
-    sorted_label = label[sure][cells.order]
-    at = cells.points, cells.starts, 2 * near, False
-    votes = [kernels.about(cloud, (sorted_label == k) * 1.0, *at)[:, 1] for k in range(count)]
-    return np.where(np.sum(votes, axis=0) > 0, np.argmax(votes, axis=0), label)
+    order, part = by_size(labels(cost, surface.points, diff.near), len(joints))
+    fixed = Cells.of([surface[part == 0]], diff.near)
+    parts = [surface[part == 1 + n] for n in range(len(order))]
+    complete = [_joint(diff, joints[j], parts[n], fixed) for n, j in enumerate(order)]
+    return Discovery(tuple(complete), points, part)
 
 
 def _joint(diff: Change, joint: Candidate, part: Surface, fixed: Cells) -> FoundJoint:
     """Return the joint in the clouds' frame, with the states of all poses."""
     core = part[some(np.arange(len(part)), 250)]
     states = np.concatenate([[0.0], states_of(joint, core, diff.others, fixed)])
-    sign = -1.0 if states.mean() < 0.0 else 1.0
     gone = ~diff.poses.met(core, still(len(diff.chosen)), diff.near)
     new = diff.targets.met(core, motions(joint), diff.near)
-    pivot = middle = part.points.mean(0)
-    if joint.turns:
-        pivot = joint.pivot + ((middle - joint.pivot) @ joint.axis) * joint.axis
-    return FoundJoint(
-        kind=joint.kind,
-        axis=sign * joint.axis,
-        pivot=diff.frame.to_world(pivot),
-        states=sign * states * (1.0 if joint.turns else diff.frame.scale),
-        score=float((gone & new).sum() / max(gone.sum(), 1)),
-    )
+    score = float((gone & new).sum() / max(gone.sum(), 1))
+    return found_joint(diff.frame, joint, states, part.points.mean(0), score)

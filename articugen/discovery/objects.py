@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from articugen import discovery
 from articugen.core.arrays import Ints
 from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
-from articugen.core.geometry import motions_apart, twist_ends
+from articugen.core.geometry import invert_rigid, motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
 from articugen.discovery.groups import Groups, agreement, group_instances
@@ -70,9 +70,11 @@ def discover(
     poses: Sequence[Pose],
     *,
     normals: Sequence[NDArray[Any]] | None = None,
+    cameras: Sequence[Sequence[float]] | Floats | None = None,
     joints: Sequence[str] = (),
 ) -> Discovery:
-    """Find the joints of one object from several poses of it; see `articugen.discovery.discover`.
+    """Find the joints of one object from several poses of it; see `articugen.discovery.discover`,
+    and `discover_views` for those of which one camera each saw what there is.
 
     Args:
         poses: two or more, in one frame: clouds (n, 3) or occupancy grids (R, R, R), which stand
@@ -86,13 +88,18 @@ def discover(
         InvalidSource: a file cannot be read.
     """
     clouds = [_cloud(pose) for pose in poses]
-    return discovery.discover(clouds, normals=normals, kinds=_kinds(joints))
+    if cameras is None:
+        return discovery.discover(clouds, normals=normals, kinds=_kinds(joints))
+    if normals is not None:
+        raise InvalidArgument("cameras give normals of their own; leave out `normals`")
+    return discovery.discover_views(clouds, cameras, kinds=_kinds(joints))
 
 
 def discover_all(
     data: str | os.PathLike[str] | DataSet,
     *,
     poses: int | None = None,
+    view: int | None = None,
     joints: Sequence[str] = (),
     on_object: Callable[[ObjectJoints, int], None] = lambda _found, _objects: None,
 ) -> list[ObjectJoints]:
@@ -102,6 +109,7 @@ def discover_all(
     Args:
         data: a data set, its folder or one of its shards.
         poses: how many of each object's instances, the first ones; None is all.
+        view: of which of its cameras each instance gives what it sees; None gives all surfaces.
         joints: as for `discover`.
         on_object: called for each object, with the number of all.
 
@@ -109,23 +117,37 @@ def discover_all(
         CorruptShard: the data cannot be read.
         InvalidArgument: there is no such kind of joint.
     """
-    kinds = _kinds(joints)
+    _kinds(joints)
     data = data if isinstance(data, DataSet) else open_data_set(Path(data))
     all_found = []
     for object_id in data.objects:
         rows = list(data.of(object_id)[:poses])
-        clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
-        normals = [np.asarray(row.surface.normals, np.float64) for row in rows]
+        clouds = _whole(rows) if view is None else _seen(rows, view)
         began, why, outcome = time.process_time(), "", None
         try:
-            outcome = discovery.discover(clouds, normals=normals, kinds=kinds)
+            outcome = discover(joints=joints, **clouds)
         except InvalidArgument as error:
             why = str(error)
         took = time.process_time() - began
-        judged = _judged(outcome, rows)
+        judged = _judged(outcome, rows, view)
         all_found.append(ObjectJoints(object_id, outcome, why, judged, took))
         on_object(all_found[-1], len(data.objects))
     return all_found
+
+
+def _whole(rows: Sequence[Row]) -> dict[str, Any]:
+    clouds = [np.asarray(row.surface.points, np.float64) for row in rows]
+    normals = [np.asarray(row.surface.normals, np.float64) for row in rows]
+    return {"poses": clouds, "normals": normals}
+
+
+def _seen(rows: Sequence[Row], view: int) -> dict[str, Any]:
+    count = min(len(row.partial.points) for row in rows)
+    if not 0 <= view < count:
+        raise InvalidArgument(f"view {view} is none of the {count} that the data set has, from 0")
+    clouds = [np.asarray(row.partial.points[view], np.float64) for row in rows]
+    T = np.array([row.partial.T_camera_world[view] for row in rows])
+    return {"poses": clouds, "cameras": invert_rigid(T)[:, :3, 3]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,21 +308,25 @@ def _cloud(pose: Pose) -> Floats:
     return (np.argwhere(filled & ~inner) - 0.5) / max(array.shape) - 0.5
 
 
-def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
-    """Judge a discovery by the truth of the rows, the first of which is pose 0."""
-    truth, first = rows[0].joints, rows[0]
+def _judged(discovery: Discovery | None, rows: Sequence[Row], view: int | None = None) -> Judged:
+    """Judge a discovery by the truth of the rows, the first of which is pose 0, where the states
+    are known; from what a `view` sees."""
+    first = rows[discovery.reference if discovery else 0]
+    truth, joints = first.joints, discovery.joints if discovery else ()
     states = np.array([[joint.state_unit for joint in row.joints] for row in rows])
-    joints = discovery.joints if discovery else ()
-    labels = first.surface.part
-    of = _matched(discovery.part, len(joints), labels, len(truth)) if discovery else {}
-    points, part = np.asarray(first.surface.points, np.float64), first.surface.part
+    states -= [joint.state_unit for joint in truth]
+    points, part = first.surface.points, first.surface.part
+    if view is not None:
+        points, part = first.partial.points[view], first.partial.part[view]
+    points = np.asarray(points, np.float64)
+    of = _matched(discovery.part, len(joints), part, len(truth)) if discovery else {}
     apart = list[float]()
     kind = axis = pivot = near = discovery is not None
     errors: dict[str, list[float]] = {"revolute": [], "prismatic": []}
     for j, true in enumerate(truth):
         match = joints[of[j]] if j in of else None
         if (part == j + 1).any():
-            apart.append(_apart(match, true, states[:, j] - states[0, j], points[part == j + 1]))
+            apart.append(_apart(match, true, states[:, j], points[part == j + 1]))
         if match is None or str(match.kind) != true.kind:
             kind = axis = pivot = near = False
             continue
@@ -308,7 +334,7 @@ def _judged(discovery: Discovery | None, rows: Sequence[Row]) -> Judged:
         axis &= bool(np.degrees(np.arccos(min(abs(along), 1.0))) <= AXIS)
         if match.kind == JointKind.REVOLUTE:
             pivot &= axes_apart(match, true.axis, true.pivot) <= PIVOT
-        off = float(np.abs(np.sign(along) * match.states - states[:, j] + states[0, j]).mean())
+        off = float(np.nanmean(np.abs(np.sign(along) * match.states - states[:, j])))
         near &= bool(off <= (np.radians(AXIS) if match.kind == JointKind.REVOLUTE else PIVOT))
         errors[true.kind].append(off)
     means = [float(np.mean(some)) if some else None for some in (*errors.values(), apart)]
@@ -322,7 +348,8 @@ def _apart(match: FoundJoint | None, true: Any, states: Floats, points: Floats) 
     ends = np.zeros((2, 6))
     if match is not None:
         pivot = match.pivot if match.kind == JointKind.REVOLUTE else None
-        ends = twist_ends(match.axis, pivot, [match.states.min(), match.states.max()])
+        known = match.states[np.isfinite(match.states)]
+        ends = twist_ends(match.axis, pivot, [known.min(), known.max()])
     return motions_apart(truth, ends, points)
 
 
@@ -354,7 +381,7 @@ def as_json(discovery: Discovery | None) -> list[dict[str, Any]]:
             "kind": str(joint.kind),
             "axis": joint.axis.tolist(),
             "pivot": joint.pivot.tolist(),
-            "states": joint.states.tolist(),
+            "states": [None if np.isnan(q) else q for q in joint.states.tolist()],
             "score": joint.score,
             "points": int((discovery.part == j + 1).sum()),
         }
@@ -379,7 +406,8 @@ def check_poses(paths: Sequence[Path], *, option: str = "") -> None:
     is_cloud = paths[0].is_file() and paths[0].suffix != ".h5"
     if option and (len(paths) > 1 or is_cloud):
         raise InvalidArgument(
-            f"{option} needs one data set's folder or shard: clouds in files have no normals"
+            f"{option} needs one data set's folder or shard: files of clouds have neither normals "
+            "nor cameras"
         )
     if len(paths) == 1 and is_cloud:
         raise InvalidArgument(

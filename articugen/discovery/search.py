@@ -66,6 +66,11 @@ def motions(candidate: Candidate, states: Floats | None = None) -> Floats:
     return M
 
 
+def carried(motion: Floats, points: Floats) -> Floats:
+    """Return (S, n, 3) points (n, 3) moved by each of S motions (S, 3, 4)."""
+    return (motion[:, None, :, :3] @ points[:, :, None])[..., 0] + motion[:, None, :, 3]
+
+
 def plane_across(axis: Floats) -> Floats:
     """Return (2, 3) unit vectors that span the plane across `axis`; coordinate axes where they
     do."""

@@ -19,7 +19,8 @@ from articugen.core.near import by_cell, nearest_within
 from articugen.core.records import JointKind
 from articugen.discovery.alignment import CELLS, SIDE, Alignment, facing_of, grid_of, values_at
 from articugen.discovery.clouds import checked
-from articugen.discovery.discover import KINDS, FoundJoint
+from articugen.discovery.discover import KINDS
+from articugen.discovery.joints import FoundJoint
 from articugen.discovery.search import Candidate, motions
 
 FEWEST = 6  # objects

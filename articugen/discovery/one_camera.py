@@ -1,0 +1,214 @@
+"""Joints from what one depth camera sees of each pose.
+
+What is not seen has not left: a point has where a camera sees through its place, and what a
+camera sees is new where that of the reference pose sees through. Joints are searched as in whole
+clouds, by points alone, since of a lid now one side is seen and now the other. Then they are made
+exact by faces, on what is surely new. Poses in which too little of a part is seen have no state.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from articugen.core.arrays import Bools, Floats, Ints
+from articugen.core.errors import InvalidArgument
+from articugen.core.geometry import norm
+from articugen.core.records import JointKind
+from articugen.discovery.clouds import Cells, Change, Surface, change, checked, is_new, still
+from articugen.discovery.discover import BESIDE, KINDS, PLAIN, Finder
+from articugen.discovery.fitting import fitted, some, states_of
+from articugen.discovery.joints import Discovery, by_size, found_joint, labels
+from articugen.discovery.search import Candidate, carried, motions
+from articugen.discovery.views import Sight
+
+_REFERENCES = 3  # poses that are tried as the reference, those of which most leaves first
+
+_RADII = (1.0, 0.7, 0.5, 0.4)  # about a point, in shares of `near`, the best last
+_CORE = 400  # points of a part that joints are fitted to
+_SHOWS, _FREE, _POSES = 0.15, 0.25, 2
+"""A state is known where the first share of those points lies on something new, and of the points
+that would show no more than the second share does not; at least the third number are, or it is no
+joint."""
+
+_ACROSS = 0.2  # of a slide's points that face along it: a plane along itself shows no motion
+_SAME_WAY, _SAME_STATES = 0.98, {True: 0.1, False: 0.03}  # joints that are one
+_APART = 0.05  # of the axes of two
+
+
+def discover_views(
+    poses: Sequence[Any], cameras: Any, *, kinds: Collection[JointKind] = KINDS
+) -> Discovery:
+    """Find the joints of one object from what one camera sees of each of several poses.
+
+    Args:
+        poses: K >= 2 clouds (n_k, 3) in one frame, that of the fixed part, of the object alone, all
+            of which is in the image.
+        cameras: (K, 3) where the cameras are, in that frame.
+        kinds: of joints that it may have, of REVOLUTE and PRISMATIC.
+
+    Returns:
+        States count from those of its `reference`; they are NaN where too little is seen.
+
+    Raises:
+        InvalidArgument: one is no cloud of points, cameras are not one for each, or too little is
+            seen of what moves.
+    """
+    clouds = checked(poses)
+    eyes = np.asarray(cameras, np.float64)
+    if eyes.shape != (len(clouds), 3):
+        raise InvalidArgument(f"cameras of shape {eyes.shape} are no places, one for each pose")
+    if not np.isfinite(eyes).all():
+        raise InvalidArgument("there are cameras that are no numbers; give places in the frame")
+    why = "nothing that moves is seen from the same side twice"
+    for order in _orders(clouds, eyes):
+        try:
+            diff = change([clouds[k] for k in order], cameras=eyes[order])
+        except InvalidArgument as error:
+            why = str(error)
+            continue
+        exact = _Exact(diff, eyes[order])
+        fits = exact.joints(kinds)
+        if fits:
+            return exact.discovery(fits, clouds, order)
+    raise InvalidArgument(f"no joint is found ({why}); give more views, or whole clouds")
+
+
+def _orders(clouds: list[Floats], eyes: Floats) -> list[Ints]:
+    """Return the poses, the reference first, for each that is worth trying."""
+    if len(clouds) < 2:
+        return [np.arange(len(clouds))]
+    everything = np.concatenate(clouds)
+    size = float(np.ptp(everything, axis=0).max()) or 1.0
+    sight = Sight.of([cloud / size for cloud in clouds], eyes / size)
+    left = [np.delete(sight.free(cloud / size).mean(1), k).mean() for k, cloud in enumerate(clouds)]
+    best = np.argsort(-np.array(left), kind="stable")[:_REFERENCES]
+    return [np.concatenate([[k], np.delete(np.arange(len(clouds)), k)]) for k in best]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A joint with the states of all poses but the reference, and where they are `known` (K - 1,)
+    by which `share` (K - 1,) of its points that would show lies on something new."""
+
+    joint: Candidate
+    known: Bools
+    share: Floats
+
+    def motions(self) -> Floats:
+        return motions(self.joint)
+
+    def is_like(self, other: "_Fit") -> bool:
+        """Return whether both are one joint, for all that is known of their states."""
+        one, two = self.joint, other.joint
+        along = float(one.axis @ two.axis)
+        if one.turns != two.turns or abs(along) < _SAME_WAY:
+            return False
+        off = one.pivot - two.pivot
+        if one.turns and np.linalg.norm(off - (off @ one.axis) * one.axis) > _APART:
+            return False
+        differs = np.abs(one.states - np.sign(along) * two.states)[self.known & other.known]
+        return differs.mean() < _SAME_STATES[one.turns] if len(differs) else True
+
+
+class _Exact:
+    """The faces of all poses, to which joints are fitted."""
+
+    def __init__(self, diff: Change, eyes: Floats) -> None:
+        self.diff, near = diff, diff.near
+        assert diff.all_sight is not None  # it has cameras
+        self.sight = diff.all_sight
+        eyes = diff.frame.to_unit(eyes)
+        self.first = _facing(diff.start, eyes[0], near)
+        others = [_facing(diff.others.pose(k), eye, near) for k, eye in enumerate(eyes[1:])]
+        self.others = Cells.of(others, near)
+        fresh = [is_new(Surface.bare(s.points), diff.stays, near, self.sight) for s in others]
+        self.new = Cells.of([s[new] for s, new in zip(others, fresh, strict=True)], near)
+
+    def joints(self, kinds: Collection[JointKind]) -> list[_Fit]:
+        """Return the joints, unlike one another, those first that most is known of."""
+        search = Finder(self.diff, kinds, {})
+        search.look_for_joints()
+        fits = list[_Fit]()
+        for joint in search.settled():
+            follow = search.explained(joint, 2.0 * self.diff.near).follow
+            fits.append(self._fit(joint, search.movers[np.flatnonzero(follow)]))
+        fits.sort(key=lambda fit: -fit.share[fit.known].sum())
+        unlike, enough = list[_Fit](), min(_POSES, len(self.others))
+        for fit in fits:
+            if fit.known.sum() >= enough and not any(fit.is_like(other) for other in unlike):
+                unlike.append(fit)
+        return unlike
+
+    def _fit(self, joint: Candidate, which: Ints) -> _Fit:
+        near, part = self.diff.near, self.first[some(which, _CORE)]
+        states = np.zeros(len(self.others))
+        states[self.diff.chosen - 1] = joint.states
+        fit = self._known(replace(joint, states=states), part, 2.0 * near)
+        for _ in range(2):
+            if fit.known.any():
+                joint = self._fitted(fit, part)
+                joint = replace(joint, states=states_of(joint, part, self.new, self.diff.stays))
+                fit = self._known(joint, part, near)
+        return fit
+
+    def _known(self, joint: Candidate, part: Surface, reach: float) -> _Fit:
+        M = motions(joint)
+        met = self.new.met(part, M, reach)
+        bare = self.sight[1:].free(carried(M, part.points))
+        bare &= ~self.others.met(part, M, self.diff.near, bare)
+        share = met.mean(1)
+        known = (share >= _SHOWS) & (bare.sum(1) <= _FREE * (met | bare).sum(1))
+        across = np.abs(part.normals @ joint.axis) > 0.5
+        return _Fit(joint, known & (joint.turns or across.mean() >= _ACROSS), share)
+
+    def _fitted(self, fit: _Fit, part: Surface) -> Candidate:
+        """Return the joint fitted to where its states are known."""
+        near = self.diff.near
+        where = Cells.of([self.new.pose(int(k)) for k in np.flatnonzero(fit.known)], near)
+        joint = replace(fit.joint, states=fit.joint.states[fit.known])
+        for reach in (2.5, 1.5, 1.0, 1.0):
+            joint = fitted(joint, part, where, reach * near, 8)
+        if not joint.turns or np.abs(joint.axis).max() > BESIDE:
+            plain = fitted(joint.snapped(), part, where, near, 8, tilts=False)
+            hits = [int(where.met(part, motions(one), near).sum()) for one in (plain, joint)]
+            joint = plain if PLAIN * hits[0] >= hits[1] else joint
+        return joint
+
+    def discovery(self, fits: list[_Fit], clouds: list[Floats], order: Ints) -> Discovery:
+        """Return it in the clouds' frame and order."""
+        diff = self.diff
+        near, cloud = diff.near, np.ascontiguousarray(diff.frame.to_unit(clouds[order[0]]))
+        surface, K = Surface.bare(cloud), len(clouds)
+        cost = []
+        for M, known in [
+            (still(K - 1), np.ones(K - 1, np.bool_)),
+            *((fit.motions(), fit.known) for fit in fits),
+        ]:
+            far = np.minimum(diff.others.distances(surface, M, near), near) / near
+            shown = (far < 1.0) | self.sight[1:].free(carried(M, cloud))
+            shown &= known[:, None]
+            cost.append(
+                np.where(shown.any(0), (far * shown).sum(0) / np.maximum(shown.sum(0), 1), 0.5)
+            )
+        which, part = by_size(labels(np.array(cost), cloud, near), len(fits))
+        joints = []
+        for n, fit in enumerate(fits[j] for j in which):
+            states = np.zeros(K)
+            states[order[1:]] = np.where(fit.known, fit.joint.states, np.nan)
+            middle, score = cloud[part == n + 1].mean(0), float(fit.share[fit.known].mean())
+            joints.append(found_joint(diff.frame, fit.joint, states, middle, score))
+        return Discovery(tuple(joints), clouds[order[0]], part, int(order[0]))
+
+
+def _facing(surface: Surface, eye: Floats, near: float) -> Surface:
+    """Return a surface with normals towards the camera that saw it: of the plane through the fewest
+    points about each that have one, else straight to it."""
+    cells, back = Cells.of([surface]), eye - surface.points
+    outward = back / norm(back)[:, None]
+    for radius in _RADII:
+        normals = surface.shaped(cells, radius * near).normals
+        along = (back * normals).sum(1, keepdims=True)
+        outward = np.where(along != 0.0, np.sign(along) * normals, outward)
+    return Surface.bare(surface.points, outward).shaped(cells, near)
