@@ -243,9 +243,11 @@ def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> Non
         ]
         for k in (0, 1)
     )
-    (joint,) = discover(clouds, normals=normals).joints
-    assert joint.kind is JointKind.REVOLUTE
-    assert abs(joint.states[1] - angle) < 0.02
+    orders = [slice(None), slice(None, None, -1)]  # closed first, and last: then the top vanishes
+    for order in orders if angle < 1.0 else orders[:1]:
+        (joint,) = discover(clouds[order], normals=normals[order]).joints
+        assert joint.kind is JointKind.REVOLUTE
+        assert abs(joint.states[1] - angle) < 0.02
 
 
 def bundled(name: str, poses: int) -> Discovery:

@@ -54,6 +54,11 @@ class Surface:
     def __getitem__(self, which: Any) -> "Surface":
         return Surface(self.points[which], self.normals[which], self.stiffness[which], self.signed)
 
+    def moved(self, M: Floats) -> "Surface":
+        """Return it moved by `M` (3, 4)."""
+        points = self.points @ M[:, :3].T + M[:, 3]
+        return replace(self, points=points, normals=self.normals @ M[:, :3].T)
+
     @staticmethod
     def bare(points: Floats, outward: Floats | None = None) -> "Surface":
         """Points of which nothing else is known, or their `outward` normals (n, 3)."""
@@ -356,6 +361,16 @@ def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
     insides that an open door or drawer shows, which say nothing of how far it has moved."""
     most = 1 + _COMMON * (len(new) - 1)  # it has itself
     return [s[poses.met(s, still(len(new)), near).sum(0) <= most] for s in new]
+
+
+def facing(surface: Surface, poses: Cells) -> NDArray[np.bool_]:
+    """Return (K, n) whether each pose has a face closely before a point that faces it."""
+    close = np.zeros((len(poses), len(surface)), np.bool_)
+    for height in _HIDES * np.arange(3):
+        over = replace(surface, points=surface.points + height * surface.normals)
+        over = replace(over, normals=-surface.normals)
+        close |= poses.met(over, still(len(poses)), max(2.0 * _HIDES, poses.near))
+    return close
 
 
 def _uncovered(new: Surface, first: Cells) -> Surface:

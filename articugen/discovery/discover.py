@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import Floats, JointKind
-from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
+from articugen.discovery.clouds import (
+    SEARCHED,
+    TELLING,
+    Cells,
+    Change,
+    Surface,
+    change,
+    facing,
+    still,
+)
 from articugen.discovery.fitting import fitted, some, states_of
 from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
@@ -147,8 +156,10 @@ class Finder:
             if gains[best] < worth:
                 break
             if pool[best].polished:
-                self.joints.append(pool.pop(best))
-                self.left &= ~self.joints[-1].follow
+                taken = pool.pop(best)
+                self.joints.append(taken)
+                touching = self._touching(taken.joint).sum(0)
+                self.left &= ~taken.follow & (2 * touching < np.maximum(self.gone.sum(0), 1))
             else:
                 pool[best] = self._polished(pool[best])
         return len(self.joints) > before
@@ -276,6 +287,17 @@ class Finder:
         follow &= wrong.sum(0) <= _WRONG * left
         return _Grown(joint, right, wrong, follow)
 
+    def _touching(self, joint: Candidate) -> NDArray[np.bool_]:
+        """Return (S, m) which movers that have left a joint brings face to face, so that neither
+        shows: a lid's lower face and what it comes to lie on. Many poses say it by themselves."""
+        if not self.part.signed or len(self.gone) >= TELLING:
+            return np.zeros_like(self.gone)
+        every, M = self.change.start[self.change.movers], motions(joint)
+        there = Cells.of([every.moved(m) for m in M], self.change.near)
+        here = Cells.of([every], self.change.near)
+        below = [facing(self.part.moved(m), here)[0] for m in M]
+        return (facing(self.part, there) | below) & self.gone
+
     def settled(self) -> list[Candidate]:
         """Return the joints, each fitted to the points that agree with it best, but for needless
         ones."""
@@ -311,8 +333,16 @@ class Finder:
         """Without those that explain too little that no other joint does."""
         joints = list(joints)
         while joints:
-            hits = (_agreement(self.change, joints, self.part)[1:] & self.gone).sum(1)
-            others = [np.delete(hits, j, axis=0).max(0, initial=0) for j in range(len(joints))]
+            agree = _agreement(self.change, joints, self.part)[1:] & self.gone
+            touch = np.array([self._touching(joint) for joint in joints])
+            hits = agree.sum(1)
+            others = [
+                np.maximum(
+                    np.delete(hits, j, axis=0).max(0, initial=0),
+                    (np.delete(touch, j, axis=0).any(0) & agree[j]).sum(0),
+                )
+                for j in range(len(joints))
+            ]
             whole = np.where(hits >= others, hits, 0).sum(1)
             alone = np.maximum(hits - others, 0).sum(1)
             needed = np.minimum(
