@@ -82,7 +82,8 @@ def _orders(clouds: list[Floats], eyes: Floats) -> list[Ints]:
     everything = np.concatenate(clouds)
     size = float(np.ptp(everything, axis=0).max()) or 1.0
     sight = Sight.of([cloud / size for cloud in clouds], eyes / size)
-    left = [np.delete(sight.free(cloud / size).mean(1), k).mean() for k, cloud in enumerate(clouds)]
+    few = [cloud[:: max(len(cloud) // 500, 1)] / size for cloud in clouds]
+    left = [np.delete(sight.free(cloud).mean(1), k).mean() for k, cloud in enumerate(few)]
     best = np.argsort(-np.array(left), kind="stable")[:_REFERENCES]
     return [np.concatenate([[k], np.delete(np.arange(len(clouds)), k)]) for k in best]
 
@@ -90,14 +91,11 @@ def _orders(clouds: list[Floats], eyes: Floats) -> list[Ints]:
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """A joint with the states of all poses but the reference, and where they are `known` (K - 1,)
-    by which `share` (K - 1,) of its points that would show lies on something new."""
+    by the `share` (K - 1,) of its points that lie on something new."""
 
     joint: Candidate
     known: Bools
     share: Floats
-
-    def motions(self) -> Floats:
-        return motions(self.joint)
 
     def is_like(self, other: "_Fit") -> bool:
         """Return whether both are one joint, for all that is known of their states."""
@@ -132,8 +130,9 @@ class _Exact:
         search.look_for_joints()
         fits = list[_Fit]()
         for joint in search.settled():
-            follow = search.explained(joint, 2.0 * self.diff.near).follow
-            fits.append(self._fit(joint, search.movers[np.flatnonzero(follow)]))
+            follow = search.movers[search.explained(joint, 2.0 * self.diff.near).follow]
+            if len(follow):
+                fits.append(self._fit(joint, follow))
         fits.sort(key=lambda fit: -fit.share[fit.known].sum())
         unlike, enough = list[_Fit](), min(_POSES, len(self.others))
         for fit in fits:
@@ -184,7 +183,7 @@ class _Exact:
         cost = []
         for M, known in [
             (still(K - 1), np.ones(K - 1, np.bool_)),
-            *((fit.motions(), fit.known) for fit in fits),
+            *((motions(fit.joint), fit.known) for fit in fits),
         ]:
             far = np.minimum(diff.others.distances(surface, M, near), near) / near
             shown = (far < 1.0) | self.sight[1:].free(carried(M, cloud))
@@ -206,7 +205,7 @@ def _facing(surface: Surface, eye: Floats, near: float) -> Surface:
     """Return a surface with normals towards the camera that saw it: of the plane through the fewest
     points about each that have one, else straight to it."""
     cells, back = Cells.of([surface]), eye - surface.points
-    outward = back / norm(back)[:, None]
+    outward = back / np.maximum(norm(back), 1e-12)[:, None]
     for radius in _RADII:
         normals = surface.shaped(cells, radius * near).normals
         along = (back * normals).sum(1, keepdims=True)
