@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Bools, Ints
 from articugen.core.errors import InvalidArgument
 from articugen.core.records import Floats, Normalization
 from articugen.discovery import kernels
@@ -154,6 +155,11 @@ class Cells:
         than where on them a cloud has points."""
         return max(reach - 0.6 * self.near, _ACROSS)
 
+    def facing(self, surface: Surface) -> Bools:
+        """Return (K, n) which points a face of each pose faces closely, so that neither shows."""
+        turned = replace(surface, normals=-surface.normals)
+        return _covered(turned, self, -np.arange(3), max(2.0 * _HIDES, self.near))
+
     def met(
         self,
         surface: Surface,
@@ -268,7 +274,7 @@ def change(
     elif start.signed:
         new = [_uncovered(surface, first) for surface in new]
     if not any(map(len, new)):
-        raise InvalidArgument("nothing moves to where pose 0 is known to have nothing")
+        raise InvalidArgument("nothing moves to where pose 0 has nothing; give other poses")
     targets = Cells.of(new, near)
     return Change(
         frame, others, near, start, first, chosen, searched, targets, stays, gone, movers, sight
@@ -363,20 +369,17 @@ def _rare(new: Sequence[Surface], poses: Cells, near: float) -> list[Surface]:
     return [s[poses.met(s, still(len(new)), near).sum(0) <= most] for s in new]
 
 
-def facing(surface: Surface, poses: Cells) -> NDArray[np.bool_]:
-    """Return (K, n) whether each pose has a face closely before a point that faces it."""
-    close = np.zeros((len(poses), len(surface)), np.bool_)
-    for height in _HIDES * np.arange(3):
-        over = replace(surface, points=surface.points + height * surface.normals)
-        over = replace(over, normals=-surface.normals)
-        close |= poses.met(over, still(len(poses)), max(2.0 * _HIDES, poses.near))
-    return close
+def _covered(surface: Surface, poses: Cells, steps: Ints, reach: float = _HIDES) -> Bools:
+    """Return (K, n) whether each pose has a face with a point's normal some of these `steps` along
+    that normal."""
+    hidden = np.zeros((len(poses), len(surface)), np.bool_)
+    for step in steps:
+        over = replace(surface, points=surface.points + _HIDES * step * surface.normals)
+        hidden |= poses.met(over, still(len(poses)), reach)
+    return hidden
 
 
 def _uncovered(new: Surface, first: Cells) -> Surface:
     """Return what is new without that before which pose 0 has a face: a lid may have hidden it."""
-    bare = np.ones(len(new), bool)
-    for height in _HIDES * np.arange(1, 7):
-        over = replace(new, points=new.points + height * new.normals)
-        bare &= ~first.met(over, still(1), _HIDES)[0]
+    bare = ~_covered(new, first, np.arange(1, 7))[0]
     return new[bare] if bare.mean() > _BARE else new

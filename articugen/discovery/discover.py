@@ -14,16 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.records import Floats, JointKind
-from articugen.discovery.clouds import (
-    SEARCHED,
-    TELLING,
-    Cells,
-    Change,
-    Surface,
-    change,
-    facing,
-    still,
-)
+from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
 from articugen.discovery.fitting import fitted, some, states_of
 from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
@@ -132,6 +123,7 @@ class Finder:
         self.movers = some(np.flatnonzero(diff.movers), _MOVERS)
         self.part = diff.start[self.movers]
         self.gone = diff.gone[:, self.movers]
+        self.sight = diff.sight
         self.left = np.ones(len(self.movers), bool)
         self.width = 1 if len(self.gone) >= TELLING else 2  # of what is tried
         self.prior = float(np.sqrt(SEARCHED / len(self.gone)))
@@ -276,10 +268,10 @@ class Finder:
         and is there in most others says neither, nor does what a camera would not see."""
         M, part, gone = motions(joint), self.part[among], self.gone[:, among]
         right = self.change.targets.met(part, M, reach, gone)
-        shown, sight = gone, self.change.sight
-        if sight is not None:
+        shown = gone
+        if self.sight is not None:
             there = self.change.poses.met(part, M, reach, gone)
-            shown = there | gone & sight.free(carried(M, part.points))
+            shown = there | gone & self.sight.free(carried(M, part.points))
         left = np.maximum(shown.sum(0), 1)
         follow = right.sum(0) >= _RIGHT * left
         wrong = shown & ~right & follow  # what is new in a pose is of it
@@ -295,8 +287,8 @@ class Finder:
         every, M = self.change.start[self.change.movers], motions(joint)
         there = Cells.of([every.moved(m) for m in M], self.change.near)
         here = Cells.of([every], self.change.near)
-        below = [facing(self.part.moved(m), here)[0] for m in M]
-        return (facing(self.part, there) | below) & self.gone
+        below = [here.facing(self.part.moved(m))[0] for m in M]
+        return (there.facing(self.part) | below) & self.gone
 
     def settled(self) -> list[Candidate]:
         """Return the joints, each fitted to the points that agree with it best, but for needless
@@ -332,9 +324,9 @@ class Finder:
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
         """Without those that explain too little that no other joint does."""
         joints = list(joints)
+        touch = np.array([self._touching(joint) for joint in joints])
         while joints:
             agree = _agreement(self.change, joints, self.part)[1:] & self.gone
-            touch = np.array([self._touching(joint) for joint in joints])
             hits = agree.sum(1)
             others = [
                 np.maximum(
@@ -355,7 +347,9 @@ class Finder:
                 self._liking(joint, self.part.points[hit > 0]) * hit.sum()
                 for joint, hit in zip(joints, right, strict=True)
             ]
-            joints.pop(int(np.where(needed < 1.0, liked, np.inf).argmin()))
+            least = int(np.where(needed < 1.0, liked, np.inf).argmin())
+            joints.pop(least)
+            touch = np.delete(touch, least, axis=0)
         return joints
 
 

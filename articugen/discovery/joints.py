@@ -23,7 +23,7 @@ class FoundJoint:
         kind: REVOLUTE or PRISMATIC.
         axis: (3,) unit direction, such that the mean of `states` is not negative.
         pivot: (3,) a point on the axis, beside its part; of a slide, the middle of the part.
-        states: (K,) of each pose, radians or lengths; 0 in pose 0.
+        states: (K,) of each pose, radians or lengths, 0 in the reference; NaN: too little is seen.
         score: which share of the part's points, where they have left, land on something new.
     """
 
@@ -41,8 +41,9 @@ class Joints:
     joints: tuple[FoundJoint, ...]
 
     def motion(self, pose: int) -> Floats:
-        """Return (P, 4, 4) the rigid motion of each part from pose 0 to another; part 0 has the
-        identity. A point of part k at x in pose 0 is at `motion(pose)[k]` x in that pose."""
+        """Return (P, 4, 4) the rigid motion of each part from the reference (pose 0 but where one
+        camera sees) to another; part 0 has the identity. A point of part k at x there is at
+        `motion(pose)[k]` x in that pose."""
         T = np.tile(np.eye(4), (len(self.joints) + 1, 1, 1))
         for j, joint in enumerate(self.joints):
             which = joint.kind == JointKind.REVOLUTE, joint.axis, joint.pivot, joint.states[[pose]]
