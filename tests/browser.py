@@ -39,6 +39,13 @@ def browser() -> Iterator[Any]:
             opened.close()
 
 
+def alone(chromium: Any, screen: dict[str, int], **context: Any) -> Any:
+    """Open a tab once those before it are shut: what plays in one is drawn until it is."""
+    for before in chromium.contexts:
+        before.close()
+    return chromium.new_context(viewport=screen, **context).new_page()
+
+
 def faults_of(tab: Any, *known: str) -> list[str]:
     """What will be found wrong with a page: errors of its console and its scripts, dialogs, and
     what it asks of the net, but for addresses that begin with one of those that are known."""

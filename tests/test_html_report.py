@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import test_cli
-from browser import LAPTOP, PHONE, faults_of
+from browser import LAPTOP, PHONE, alone, faults_of
 from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
@@ -257,7 +257,7 @@ def test_inspect_writes_a_report_with_what_was_left_out(laptops: Path, tmp_path:
 
 def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:
     """The page, once its object can be turned, and what the console and dialogs say against it."""
-    tab = chromium.new_context(viewport=screen, **context).new_page()
+    tab = alone(chromium, screen, **context)
     tab.set_default_timeout(90_000)
     faults = faults_of(tab)
     tab.goto(html.as_uri())
@@ -336,7 +336,7 @@ def test_nothing_that_moves_is_cut_off(chromium, laptops, tmp_path, screen):
 
 
 def test_on_paper_every_picture_and_column_is_there(chromium: Any, page: Path) -> None:
-    tab = chromium.new_context(viewport={"width": 720, "height": 400}).new_page()
+    tab = alone(chromium, {"width": 720, "height": 400})
     tab.goto(page.as_uri())
     tab.emulate_media(media="print")
     drawn = "[...document.images].map(i => [i.complete && i.naturalWidth > 0, i.clientWidth > 0])"
@@ -404,7 +404,7 @@ def test_nothing_is_wider_than_the_screen_nor_wants_its_data_set_or_the_net(
 
 
 def test_without_webgl_the_page_says_so_and_shows_a_picture(page: Path, chromium: Any) -> None:
-    tab = chromium.new_context(viewport=PHONE).new_page()
+    tab = alone(chromium, PHONE)
     tab.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     tab.goto(page.as_uri())
     tab.wait_for_selector("#viewer[data-failed]", state="attached", timeout=90_000)

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
-from browser import LAPTOP, PHONE, faults_of
+from browser import LAPTOP, PHONE, alone, faults_of
 from command_line import run
 from instances import hinged_box
 from ppd_data import shard
@@ -76,7 +76,7 @@ def test_a_damaged_shard_leaves_the_former_site_whole(made: Path, tmp_path: Path
 
 
 def opened(chromium: Any, address: str, screen: dict[str, int], count: int) -> tuple[Any, list]:
-    tab = chromium.new_context(viewport=screen).new_page()
+    tab = alone(chromium, screen)
     faults = faults_of(tab, "http://127.0.0.1")
     tab.goto(address)
     if count:
