@@ -193,22 +193,22 @@ def _enclosed(points, directions, cells):  # pragma: no cover - compiled
         p = vector(points, i)
         for j in range(len(directions)):
             way = vector(directions, j)
-            met = False
+            per_metre = 1.0 / way[0], 1.0 / way[1], 1.0 / way[2]
             for k in range(len(boxes)):
-                c = (last + k) % len(boxes)
-                if _meets_box(p, way, boxes, c) and _meets_cell(
+                c = last if k == 0 else k - (k <= last)
+                if _meets_box(p, way, per_metre, boxes, c) and _meets_cell(
                     p, way, planes, first_plane[c], first_plane[c + 1]
                 ):
-                    met, last = True, c
+                    last = c
                     break
-            if not met:
+            else:
                 enclosed[i] = False
                 break
     return enclosed
 
 
 @helper
-def _meets_box(point, direction, boxes, c):  # pragma: no cover - compiled
+def _meets_box(point, direction, per_metre, boxes, c):  # pragma: no cover - compiled
     """Return whether the ray meets box c: clipped by three slabs (Kay and Kajiya 1986)."""
     start, end = 0.0, np.inf
     for k in range(3):
@@ -216,8 +216,8 @@ def _meets_box(point, direction, boxes, c):  # pragma: no cover - compiled
             if point[k] < boxes[c, 0, k] or point[k] > boxes[c, 1, k]:
                 return False
             continue
-        a = (boxes[c, 0, k] - point[k]) / direction[k]
-        b = (boxes[c, 1, k] - point[k]) / direction[k]
+        a = (boxes[c, 0, k] - point[k]) * per_metre[k]
+        b = (boxes[c, 1, k] - point[k]) * per_metre[k]
         start, end = max(start, min(a, b)), min(end, max(a, b))
         if start > end:
             return False
