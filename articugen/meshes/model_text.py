@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
+from html import escape
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,7 +64,7 @@ def urdf_text(name: str, links: Mapping[str, Sequence[Visual]], joints: Iterable
     """Return a URDF of links, by name, and joints, in their order."""
     elements = [_link(link, visuals) for link, visuals in links.items()]
     tree = "\n".join([*elements, *map(_joint, joints)])
-    return f'<?xml version="1.0"?>\n<robot name={quoteattr(name)}>\n{tree}\n</robot>\n'
+    return f'<?xml version="1.0"?>\n<robot name="{escape(name)}">\n{tree}\n</robot>\n'
 
 
 def _numbers(values: ArrayLike) -> str:
