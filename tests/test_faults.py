@@ -158,7 +158,7 @@ def test_too_small_a_limit_of_files_stops_the_run_and_rejects_nothing(whole, tmp
         assert "articugen.core.errors.MachineFault: " in said
         assert "File too large" in said or "files may not grow so large" in said
         assert "finished objects are kept, the same command goes on after them" in said
-    assert made_under("", out, 1) == ""
+    made(job(out))
     assert contents(out) == contents(whole)
 
 
