@@ -47,8 +47,8 @@ from articugen.instance.again import part_meshes
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, pose, prepare
 from articugen.procedural import CATEGORIES
-from articugen.procedural.truth import Truth
-from articugen.procedural.truth import truth_of as exact_truth
+from articugen.procedural.kit.writer import TRUTH_NAME
+from articugen.procedural.truth import Truth, read_truth
 from articugen.rendering import rasterizer
 from articugen.sources import readers
 from articugen.sources.source import open_source
@@ -154,7 +154,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Maker:
             prepared = prepare(obj, recipe_for(category), seed=0)
             instances = tuple(make_instance(prepared, s) for s in range(STATES + 1))
             thickness = prepared.recipe.fusion.sheet_thickness * prepared.unit.scale
-            truth = exact_truth(category, name, messy=messy, sheet_thickness=thickness)
+            truth = read_truth((own / TRUTH_NAME).read_bytes(), sheet_thickness=thickness)
             kept[key] = Made(obj, truth, prepared, instances)
         return kept[key]
 
@@ -274,7 +274,8 @@ def test_material_is_rigid(make: Maker, category: str, rule: str) -> None:
     for part, own in enumerate(prepared.own):
         points = rng.uniform(own.box[0], own.box[1], (3000, 3))
         held = [
-            f.material.holds(part, at32(apply(f.part_motion[part], points)), EVERY) for f in poses
+            f.material.holds(part, apply(f.part_motion[part], points).astype("f4"), EVERY)
+            for f in poses
         ]
         masks = np.stack([np.isin(EVERY, h) for h in held])
         assert masks[0].any()
@@ -284,10 +285,6 @@ def test_material_is_rigid(make: Maker, category: str, rule: str) -> None:
 
 
 EVERY = np.arange(3000)
-
-
-def at32(points: Floats) -> NDArray[np.float32]:
-    return points.astype(np.float32)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
