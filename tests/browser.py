@@ -39,11 +39,13 @@ def browser() -> Iterator[Any]:
             opened.close()
 
 
-def alone(chromium: Any, screen: dict[str, int], **context: Any) -> Any:
-    """Open a tab once those before it are shut: what plays in one is drawn until it is."""
+def alone(chromium: Any, screen: dict[str, int], *known: str, **context: Any) -> tuple[Any, list]:
+    """A tab, and its `faults_of`; those before it are shut, or what plays there is drawn on."""
     for before in chromium.contexts:
         before.close()
-    return chromium.new_context(viewport=screen, **context).new_page()
+    tab = chromium.new_context(viewport=screen, **context).new_page()
+    tab.set_default_timeout(90_000)
+    return tab, faults_of(tab, *known)
 
 
 def faults_of(tab: Any, *known: str) -> list[str]:

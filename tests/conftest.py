@@ -37,9 +37,8 @@ collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NE
 
 def pytest_configure() -> None:
     """Keep what tests write in memory where there is room: a disk may take 4 ms for each file."""
-    memory = Path("/dev/shm")
-    if os.access(memory, os.W_OK) and shutil.disk_usage(memory).free > 8 << 30:
-        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(memory))
+    if os.access("/dev/shm", os.W_OK) and shutil.disk_usage("/dev/shm").free > 8 << 30:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")
 
 
 def pytest_report_header() -> list[str]:

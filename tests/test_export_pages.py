@@ -59,11 +59,11 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def options_for(to: str) -> dict:
-    """What makes an export of the format quick; a format whose library is missing is skipped."""
+def options_for(to: str, **more: bool | None) -> dict:
+    """Options that the format takes, of `more` and a coarse grid; skipped without its library."""
     for library, extra in format_named(to).needs:
         pytest.importorskip(library, reason=f"needs articugen[{extra}]")
-    return {"resolution": 32} if "resolution" in format_named(to).takes else {}
+    return {k: v for k, v in {"resolution": 32, **more}.items() if k in format_named(to).takes}
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +72,7 @@ def exported(root: Path):
 
     @cache
     def export(to: str) -> Path:
-        options = options_for(to)
-        if "collision" in format_named(to).takes and to != "usd":
-            options["collision"] = True
+        options = options_for(to, collision=None if to == "usd" else True)
         assert ag.export(root / "data" / "laptop", to, root / to / "laptop", **options).files
         return root / to / "laptop"
 
@@ -105,10 +103,8 @@ def test_no_split_leads_out_of_the_folder(name: str, split: str, root: Path, tmp
     data = data.of(data.objects[0])[:2]
     data._shelf.entries = tuple(replace(entry, split=split) for entry in data._shelf.entries)
     out = tmp_path / "a" / "b" / "out"
-    quick = options_for(name)
-    quick |= {"from_grids": True} if "from_grids" in format_named(name).takes else {}
     with suppress(ag.ArticugenError):
-        ag.export(data, name, out, **quick)
+        ag.export(data, name, out, **options_for(name, from_grids=True))
     assert {p for p in tmp_path.rglob("*") if p.is_file() and not p.is_relative_to(out)} == set()
     assert not list(root.glob("x*"))
 

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import test_cli
-from browser import LAPTOP, PHONE, alone, faults_of
+from browser import LAPTOP, PHONE, alone
 from command_line import run
 from instances import SMALL, edited, hinged_box
 from PIL import Image
@@ -257,14 +257,10 @@ def test_inspect_writes_a_report_with_what_was_left_out(laptops: Path, tmp_path:
 
 def opened(chromium: Any, html: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:
     """The page, once its object can be turned, and what the console and dialogs say against it."""
-    tab = alone(chromium, screen, **context)
-    tab.set_default_timeout(90_000)
-    faults = faults_of(tab)
+    tab, faults = alone(chromium, screen, **context)
     tab.goto(html.as_uri())
     tab.wait_for_selector("#viewer[data-ready], #viewer[data-failed]", state="attached")
-    assert tab.get_attribute("#viewer", "data-ready") == "true", tab.inner_text(
-        "#viewer [role=status]"
-    )
+    assert tab.get_attribute("#viewer", "data-ready"), tab.inner_text("#viewer [role=status]")
     return tab, faults
 
 
@@ -336,7 +332,7 @@ def test_nothing_that_moves_is_cut_off(chromium, laptops, tmp_path, screen):
 
 
 def test_on_paper_every_picture_and_column_is_there(chromium: Any, page: Path) -> None:
-    tab = alone(chromium, {"width": 720, "height": 400})
+    tab, _ = alone(chromium, {"width": 720, "height": 400})
     tab.goto(page.as_uri())
     tab.emulate_media(media="print")
     drawn = "[...document.images].map(i => [i.complete && i.naturalWidth > 0, i.clientWidth > 0])"
@@ -404,9 +400,9 @@ def test_nothing_is_wider_than_the_screen_nor_wants_its_data_set_or_the_net(
 
 
 def test_without_webgl_the_page_says_so_and_shows_a_picture(page: Path, chromium: Any) -> None:
-    tab = alone(chromium, PHONE)
+    tab, _ = alone(chromium, PHONE)
     tab.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     tab.goto(page.as_uri())
-    tab.wait_for_selector("#viewer[data-failed]", state="attached", timeout=90_000)
+    tab.wait_for_selector("#viewer[data-failed]", state="attached")
     assert "no WebGL 2" in tab.inner_text("#viewer [role=status]")
     assert tab.is_visible("#viewer .stage img")

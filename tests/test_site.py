@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import LAPTOP, PHONE, alone, faults_of
+from browser import LAPTOP, PHONE, alone
 from python_process import ended
 
 import articugen as ag
@@ -155,9 +155,7 @@ def test_what_stands_in_angle_brackets_stays_in_the_reference(hooks: Any, site: 
 
 def opened(chromium: Any, page: Path, screen: dict[str, int], **context: Any) -> tuple[Any, list]:
     """The page, and what the console says against it or what it asked of the net."""
-    tab = alone(chromium, screen, offline=True, **context)
-    tab.set_default_timeout(60_000)
-    faults = faults_of(tab)
+    tab, faults = alone(chromium, screen, offline=True, **context)
     tab.goto(page.as_uri())
     return tab, faults
 

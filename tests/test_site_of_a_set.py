@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
-from browser import LAPTOP, PHONE, alone, faults_of
+from browser import LAPTOP, PHONE, alone
 from command_line import run
 from instances import hinged_box
 from ppd_data import shard
@@ -76,11 +76,10 @@ def test_a_damaged_shard_leaves_the_former_site_whole(made: Path, tmp_path: Path
 
 
 def opened(chromium: Any, address: str, screen: dict[str, int], count: int) -> tuple[Any, list]:
-    tab = alone(chromium, screen)
-    faults = faults_of(tab, "http://127.0.0.1")
+    tab, faults = alone(chromium, screen, "http://127.0.0.1")
     tab.goto(address)
     if count:
-        tab.wait_for_selector(f".viewer[data-ready] >> nth={count - 1}", timeout=90_000)
+        tab.wait_for_selector(f".viewer[data-ready] >> nth={count - 1}")
     return tab, faults
 
 
@@ -97,7 +96,7 @@ def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: 
     tab.select_option("select >> nth=1", "Largest first")
     tab.focus(f".tile[href='#object={quote(KEY)}']")
     tab.keyboard.press("Enter")
-    tab.wait_for_selector(".viewer[data-ready]", timeout=90_000)
+    tab.wait_for_selector(".viewer[data-ready]")
     assert tab.locator("h3 >> nth=0").inner_text() == f"{printable(HOSTILE)} train"
     assert "Not measured" in tab.inner_text(".shown dl")
     step = tab.get_by_label("Stored state")
@@ -110,10 +109,10 @@ def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: 
     tab.click("text=Play stored states")
     tab.focus("canvas")
     tab.keyboard.press("ArrowLeft")
-    tab.wait_for_function(FOLLOWED, timeout=90_000)  # the address follows once nothing moves
+    tab.wait_for_function(FOLLOWED)  # the address follows once nothing moves
     link, state = tab.url, tab.evaluate("articugen.opened()[0].view.get()")
     tab.select_option("nav.tools select", "test/b")
-    tab.wait_for_selector(".viewer[data-ready] >> nth=1", timeout=90_000)
+    tab.wait_for_selector(".viewer[data-ready] >> nth=1")
     tab.keyboard.press("Escape")
     assert tab.is_visible(".wall")
     assert faults == []
