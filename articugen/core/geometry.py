@@ -121,7 +121,7 @@ def points_on_triangles(
             has any (corners that coincide are a point) each the same.
     """
     if weights is None:
-        area = norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        area = norm(area_vectors(corners))
         weights = np.where(np.any(area), area, 1.0)
     face = pick_by_weight(weights, rng.random(count))
     a, b = rng.random((2, count, 1))
@@ -150,7 +150,7 @@ def plane_weights(corners: Floats, points: Floats) -> Floats:
     """Return (n, 3) the barycentric coordinates of points (n, 3) in the planes of triangles (n, 3,
     3); thirds in triangles without area."""
     a, b, c = np.moveaxis(corners, 1, 0)
-    normal = cross(b - a, c - a)
+    normal = area_vectors(corners)
     square = dot(normal, normal)
     flat = square < _NO_AREA
     square = np.where(flat, 1.0, square)
@@ -194,6 +194,19 @@ def cross(a: ArrayLike, b: ArrayLike) -> Floats:
     out[..., 1] = a2 * b0 - a0 * b2
     out[..., 2] = a0 * b1 - a1 * b0
     return out
+
+
+def area_vectors(triangles: Floats) -> Floats:
+    """Return (n, 3) the normals of triangles (n, 3, 3) by the right-hand rule, twice as long as the
+    areas."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return cross(b - a, c - a)
+
+
+def unit_normals(triangles: Floats) -> Floats:
+    """Return (n, 3) the same, 1 long; shorter where there is no area."""
+    normals = area_vectors(triangles)
+    return normals / np.maximum(norm(normals), 1e-30)[:, None]
 
 
 def look_along(direction: ArrayLike, eye: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:

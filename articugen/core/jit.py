@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 
@@ -94,6 +95,23 @@ def squared(a, b):  # pragma: no cover - compiled
 def ahead(point, origin, normal):  # pragma: no cover - compiled
     """Return how far `point` lies in front of the plane through `origin`."""
     return dot(minus(point, origin), normal)
+
+
+@helper
+def plane_of(corners, f):  # pragma: no cover - compiled
+    """Return the unit normal of a face, of all corners (F, 3, 3), and its offset."""
+    a = vector(corners[f], 0)
+    n = cross(minus(vector(corners[f], 1), a), minus(vector(corners[f], 2), a))
+    length = max(np.sqrt(dot(n, n)), 1e-30)
+    normal = (n[0] / length, n[1] / length, n[2] / length)
+    return normal, dot(normal, a)
+
+
+@helper
+def between(p, q, here, there):  # pragma: no cover - compiled
+    """Return the point between two at which a height, `here` and `there` at them, is 0."""
+    t = here / (here - there)
+    return p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])
 
 
 @helper

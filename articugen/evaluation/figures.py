@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core.colours import colour_of, part_colours, shaded
+from articugen.core.geometry import area_vectors
+from articugen.core.portable import norm
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.evaluation.evaluate import objects_of, tested
@@ -55,9 +57,8 @@ class Names:
     def part_of(self, joint: int, shape: Reconstruction) -> int | None:
         """Return the predicted part of what a true joint moves: of several the one that is there in
         the shape, by its surface, as doors that are hinged left and right have a part each."""
-        corners = shape.triangles
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.bincount(shape.part, np.linalg.norm(across, axis=1), minlength=shape.parts)
+        doubled = norm(area_vectors(shape.triangles))
+        area = np.bincount(shape.part, doubled, minlength=shape.parts)
         parts = [i for i, label in enumerate(self.labels) if label == joint + 1]
         return max(parts, key=lambda i: (area[i], self.dominant[i] == joint + 1), default=None)
 

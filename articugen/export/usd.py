@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.geometry import area_vectors
 from articugen.core.records import Mesh
 from articugen.export.assembly import SURFACE_FRICTION, Body, bodies, resistance
 from articugen.export.formats import Format
@@ -227,8 +228,7 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
     prim.CreatePointsAttr(points)
     prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
-    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
-    across = np.cross(b - a, c - a)
+    across = area_vectors(mesh.triangles)
     across[~across.any(axis=1)] = 0.0, 0.0, 1.0  # of a face without area
     flat = across / np.linalg.norm(across, axis=1, keepdims=True)
     prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(flat.astype(np.float32)))

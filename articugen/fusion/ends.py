@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes
-from articugen.core.jit import cross, dot, helper, kernel, minus, vector
+from articugen.core.jit import between, cross, dot, helper, kernel, minus, plane_of, vector
 from articugen.core.records import LabelledMesh
 from articugen.fusion.field import PosedSolids
 from articugen.fusion.solidify import probes
@@ -101,7 +101,7 @@ def _cut(corners, part, within, box, skip, leaf, nodes):
         most = min(first + _MOST_PIECES, pieces.shape[0] - F + f) - 2
         _put(pieces, first, vector(corners[f], 0), vector(corners[f], 1), vector(corners[f], 2))
         end = first + 1
-        normal, offset = _plane(corners, f)
+        normal, offset = plane_of(corners, f)
         node = 0
         while node < nodes:
             if misses(corners, f, box, node):
@@ -111,7 +111,7 @@ def _cut(corners, part, within, box, skip, leaf, nodes):
                 if g == f or (part[f] == part[g]) != within:
                     continue
                 met, start, stop = _seam(corners, g, normal, offset)
-                across, level = _plane(corners, g)
+                across, level = plane_of(corners, g)
                 for n in range(first, end if met == 2 else first):
                     if end < most and _runs_through(pieces, n, normal, across, level, start, stop):
                         end = _split(pieces, n, end, across, level)
@@ -120,16 +120,6 @@ def _cut(corners, part, within, box, skip, leaf, nodes):
             face[n] = f
         first = end
     return pieces[:first].copy(), face[:first].copy()
-
-
-@helper
-def _plane(corners, f):
-    """Return the unit normal of a face, and its offset."""
-    a = vector(corners[f], 0)
-    n = cross(minus(vector(corners[f], 1), a), minus(vector(corners[f], 2), a))
-    length = max(np.sqrt(dot(n, n)), 1e-30)
-    normal = (n[0] / length, n[1] / length, n[2] / length)
-    return normal, dot(normal, a)
 
 
 @helper
@@ -144,17 +134,10 @@ def _seam(corners, g, normal, offset):
         lies = abs(here) <= _CLEAR
         on += lies
         if lies or (here * there < 0.0 and abs(there) > _CLEAR):
-            at = p if lies else _between(p, q, here, there)
+            at = p if lies else between(p, q, here, there)
             start, stop = stop if met else at, at
             met += 1
     return met if on < 3 else 0, start, stop
-
-
-@helper
-def _between(p, q, here, there):
-    """Return the point between two at which a height, `here` and `there` at them, is 0."""
-    t = here / (here - there)
-    return p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])
 
 
 @helper
@@ -189,11 +172,11 @@ def _split(pieces, n, end, across, level):
         if (abs(x) > _CLEAR) if through else (x * y > 0.0 or x * z > 0.0):
             a, b, c, x, y, z = b, c, a, y, z, x
     if abs(x) <= _CLEAR:
-        middle = _between(b, c, y, z)
+        middle = between(b, c, y, z)
         _put(pieces, n, a, b, middle)
         _put(pieces, end, a, middle, c)
         return end + 1
-    left, right = _between(a, b, x, y), _between(a, c, x, z)
+    left, right = between(a, b, x, y), between(a, c, x, z)
     _put(pieces, n, a, left, right)
     _put(pieces, end, left, b, c)
     _put(pieces, end + 1, left, c, right)

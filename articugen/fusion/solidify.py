@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
-from articugen.core.geometry import cross
+from articugen.core.geometry import area_vectors, cross, unit_normals
 from articugen.core.jit import helper, kernel, root
 from articugen.core.portable import arctan2, dot, norm
 from articugen.core.records import DepthMaps, LabelledMesh
@@ -383,23 +383,8 @@ def _pieces(faces, count):
 
 def face_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return (F, 3) unit normals by the right-hand rule of each face's winding."""
-    normals = _crosses(vertices[faces])
-    return normals / np.maximum(norm(normals), 1e-30)[:, None]
+    return unit_normals(vertices[faces])
 
 
 def face_areas(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    return 0.5 * norm(_crosses(vertices[faces]))
-
-
-@kernel
-def _crosses(corners):
-    """Return (F, 3) the cross products of two sides of each face; `corners` (F, 3, 3)."""
-    out = np.empty((corners.shape[0], 3))
-    for f in range(corners.shape[0]):
-        x, y, z = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
-        ux, uy, uz = corners[f, 1, 0] - x, corners[f, 1, 1] - y, corners[f, 1, 2] - z
-        vx, vy, vz = corners[f, 2, 0] - x, corners[f, 2, 1] - y, corners[f, 2, 2] - z
-        out[f, 0] = uy * vz - uz * vy
-        out[f, 1] = uz * vx - ux * vz
-        out[f, 2] = ux * vy - uy * vx
-    return out
+    return 0.5 * norm(area_vectors(vertices[faces]))

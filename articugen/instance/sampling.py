@@ -11,7 +11,7 @@ import numpy as np
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
 from articugen.core.errors import RejectedInstance
-from articugen.core.geometry import cross, points_on_triangles
+from articugen.core.geometry import area_vectors, points_on_triangles
 from articugen.core.recipe import Sampling
 from articugen.core.records import DepthMaps, LabelledMesh
 
@@ -101,7 +101,7 @@ def surface_points(
         RejectedInstance: next to nothing of the surface is visible.
     """
     corners = mesh.vertices[mesh.faces]
-    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = area_vectors(corners)
     doubled = np.linalg.norm(across, axis=1)
     weights = np.where(is_seen, doubled, 0.0)
     if not weights.any():

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
-from articugen.core.geometry import apply, cross, pick_by_weight
+from articugen.core.geometry import apply, area_vectors, cross, pick_by_weight
 from articugen.core.portable import cos, dot, norm, turned
 from articugen.core.records import LabelledMesh
 from articugen.instance.sampling import SurfacePoints
@@ -53,8 +53,7 @@ def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:
     goes around the edge, and of several such pairs the one that turns most; what is in the solid
     or between touching solids does not. An edge of one face alone is none.
     """
-    corners = mesh.vertices[mesh.faces]
-    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = area_vectors(mesh.vertices[mesh.faces])
     length = norm(across)
     there = length > 0.0
     normals = across[there] / length[there, None]

@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from articugen.core import portable
 from articugen.core.arrays import Floats
-from articugen.core.jit import helper, inlined, kernel
+from articugen.core.geometry import unit_normals
+from articugen.core.jit import cross, dot, helper, inlined, kernel, minus
 
 LEAF_FACES = 4
 
@@ -34,26 +37,14 @@ class Bvh(NamedTuple):
     roots: Any
 
 
-@kernel
-def triangle_table(corners):
+def triangle_table(corners: Floats) -> NDArray[np.float32]:
     """Return (F, 16) float32, one cache line a face: unit normal, offset, three corners; (F, 3,
     3)."""
-    table = np.zeros((corners.shape[0], 16), np.float32)
-    for f in range(corners.shape[0]):
-        ax, ay, az = corners[f, 0, 0], corners[f, 0, 1], corners[f, 0, 2]
-        bx, by, bz = corners[f, 1, 0], corners[f, 1, 1], corners[f, 1, 2]
-        cx, cy, cz = corners[f, 2, 0], corners[f, 2, 1], corners[f, 2, 2]
-        x = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
-        y = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
-        z = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        length = max(np.sqrt(x * x + y * y + z * z), 1e-30)
-        x, y, z = x / length, y / length, z / length
-        at = ((ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0)
-        table[f, 0], table[f, 1], table[f, 2] = x, y, z
-        table[f, 3] = x * at[0] + y * at[1] + z * at[2]
-        for corner in range(3):
-            for axis in range(3):
-                table[f, 4 + 3 * corner + axis] = corners[f, corner, axis]
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normals = unit_normals(corners)
+    table = np.zeros((len(corners), 16), np.float32)
+    table[:, :3], table[:, 3] = normals, portable.dot(normals, (a + b + c) / 3.0)
+    table[:, 4:13] = corners.reshape(-1, 9)
     return table
 
 
@@ -233,21 +224,17 @@ def _enters(q, inverse, reach, low, high):
 def in_front(p, w, plane):
     """Return how far `p` lies in front of a face's `plane`, normal and offset as in the
     `triangle_table`, along the direction `w` to the camera."""
-    a, b, c, offset = plane
-    slope = a * w[0] + b * w[1] + c * w[2]
+    slope = dot(plane, w)
     if slope == 0.0:
         slope = np.float32(1e-12)
-    return (a * p[0] + b * p[1] + c * p[2] - offset) / slope
+    return (dot(plane, p) - plane[3]) / slope
 
 
 @helper
 def behind(p, w, plane):
     """Return whether `p` lies behind a face's plane, seen from the direction `w`: `in_front` <=
     0."""
-    a, b, c, offset = plane
-    gap = a * p[0] + b * p[1] + c * p[2] - offset
-    slope = a * w[0] + b * w[1] + c * w[2]
-    return gap * slope <= 0.0
+    return (dot(plane, p) - plane[3]) * dot(plane, w) <= 0.0
 
 
 @helper
@@ -258,10 +245,6 @@ def line_meets(p, w, a, b, c):
     Signs of the volumes that the line spans with each edge; the two faces at an edge compute the
     same number with opposite sign, so no line slips between them.
     """
-    ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
-    bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
-    cx, cy, cz = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-    ab = w[0] * (ay * bz - az * by) + w[1] * (az * bx - ax * bz) + w[2] * (ax * by - ay * bx)
-    bc = w[0] * (by * cz - bz * cy) + w[1] * (bz * cx - bx * cz) + w[2] * (bx * cy - by * cx)
-    ca = w[0] * (cy * az - cz * ay) + w[1] * (cz * ax - cx * az) + w[2] * (cx * ay - cy * ax)
+    a, b, c = minus(a, p), minus(b, p), minus(c, p)
+    ab, bc, ca = dot(w, cross(a, b)), dot(w, cross(b, c)), dot(w, cross(c, a))
     return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)

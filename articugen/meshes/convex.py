@@ -14,7 +14,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from articugen.core.arrays import Bools, Floats, Indices
-from articugen.core.geometry import cross
+from articugen.core.geometry import area_vectors
 from articugen.core.portable import dot, norm
 from articugen.core.records import Mesh
 from articugen.meshes.simpler import manifold, mesh_of, shells
@@ -195,8 +195,7 @@ def _planes(mesh: Mesh, near: float) -> Iterator[tuple[Floats, float]]:
 def _inner_edges(mesh: Mesh) -> tuple[Floats, Floats, Indices, Floats]:
     """Return the edges along which a solid is hollow: their ends (n, 2, 3), their lengths (n,)
     times 1 - cos of their angle, and the faces on both sides (n, 2); and all faces' normals."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    normals = cross(b - a, c - a)
+    normals = area_vectors(mesh.triangles)
     unit = normals / np.maximum(norm(normals), 1e-300)[:, None]
     start, end = mesh.faces.ravel().astype(np.intp), np.roll(mesh.faces, -1, axis=1).ravel()
     key, reverse = start * len(mesh.vertices) + end, end * len(mesh.vertices) + start

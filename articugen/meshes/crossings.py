@@ -3,7 +3,7 @@
 import numpy as np
 
 from articugen.core.arrays import Floats, Ints
-from articugen.core.jit import cross, dot, helper, kernel, minus, vector
+from articugen.core.jit import between, cross, dot, helper, kernel, minus, plane_of, vector
 from articugen.meshes.bvh import misses, ordered
 
 _CLEAR = 1e-6
@@ -42,19 +42,13 @@ def _pairs(corners, box, skip, leaf, nodes, most):
 @helper
 def _pierces(corners, f, g):
     """Return whether an edge of face `f` goes through the inside of face `g`."""
-    a = vector(corners[g], 0)
-    across = cross(minus(vector(corners[g], 1), a), minus(vector(corners[g], 2), a))
-    length = np.sqrt(dot(across, across))
-    if length < 1e-30:
-        return False
-    normal = (across[0] / length, across[1] / length, across[2] / length)
+    a, (normal, _) = vector(corners[g], 0), plane_of(corners, g)
     for e in range(3):
         p, q = vector(corners[f], e), vector(corners[f], (e + 1) % 3)
         here, there = dot(normal, minus(p, a)), dot(normal, minus(q, a))
         if here * there >= 0.0 or min(abs(here), abs(there)) < _CLEAR:
             continue
-        t = here / (here - there)
-        at = (p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2]))
+        at = between(p, q, here, there)
         inside = True
         for k in range(3):
             start = vector(corners[g], k)

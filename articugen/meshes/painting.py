@@ -8,7 +8,8 @@ import numpy as np
 
 from articugen.core.arrays import Bytes, Floats, Indices, Ints
 from articugen.core.colours import colour_of, linear, rgb, srgb_linear
-from articugen.core.geometry import plane_weights
+from articugen.core.geometry import area_vectors, plane_weights
+from articugen.core.portable import norm
 from articugen.core.records import Mesh
 from articugen.core.texture import Texture, between
 
@@ -41,8 +42,7 @@ class Look(NamedTuple):
 def looks(mesh: Mesh, part: int = 0) -> list[Look]:
     """Return the faces of a mesh by their colours and pictures, the widest first; all of it in the
     colour of a `part` in our pictures where it has none."""
-    a, b, c = np.moveaxis(mesh.triangles, 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = 0.5 * norm(area_vectors(mesh.triangles))
     if mesh.colours is None:
         colour = colour_of(part)
         return [Look(colour, linear(colour), np.arange(len(area)), area.sum())]

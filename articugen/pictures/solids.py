@@ -8,6 +8,7 @@ import numpy as np
 
 from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.geometry import (
+    area_vectors,
     bounds,
     look_along,
     nearest_weights,
@@ -109,8 +110,8 @@ def draw_solid(
 def shown(triangles: Floats) -> Bools:
     """Return (F,) which of triangles (F, 3, 3), unit frame, are seen in views from all around, half
     as fine as those of a data set; those without area, which stand for points, count as seen."""
-    mesh, (a, b, c) = soup(triangles), np.moveaxis(triangles, 1, 0)
-    are_seen: Bools = np.all(np.cross(b - a, c - a) == 0.0, axis=1)
+    mesh = soup(triangles)
+    are_seen: Bools = np.all(area_vectors(triangles) == 0.0, axis=1)
     if not are_seen.all():
         views = fusion_views(ViewSettings(resolution=128), bounds(mesh.vertices))
         face = render(mesh, views, keep_depth=False).face
@@ -127,7 +128,7 @@ def soup(triangles: Floats) -> LabelledMesh:
 
 def spread(triangles: Floats, count: int) -> SurfaceCloud:
     """About `count` points over triangles (F, 3, 3), evenly by area."""
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normal = area_vectors(triangles)
     twice = np.linalg.norm(normal, axis=1)
     if not twice.any():
         return SurfaceCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
@@ -143,7 +144,7 @@ def spread(triangles: Floats, count: int) -> SurfaceCloud:
 def _corner_normals(triangles: Floats, group: Ints) -> Floats:
     """Return (F, 3, 3) unit normals at the corners: the mean by area of the faces of a group that
     meet there, or the face's own where it is turned far away from that."""
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normal = area_vectors(triangles)
     low, size = triangles.min((0, 1)), max(float(np.ptp(triangles, axis=(0, 1)).max()), 1e-9)
     x, y, z = ((triangles.reshape(-1, 3) - low) / size * (_PLACES - 1)).round().astype(np.int64).T
     place = ((np.repeat(group, 3) * _PLACES + x) * _PLACES + y) * _PLACES + z

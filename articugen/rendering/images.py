@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.colours import PALETTE
-from articugen.core.geometry import cross
+from articugen.core.geometry import area_vectors
 from articugen.core.portable import dot, norm, power, turned
 from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import rasterizer
@@ -57,7 +57,7 @@ def images(
     if "normal" in wanted or "rgba" in wanted:
         view, row, column = np.nonzero(hit)
         corners = mesh.vertices[mesh.faces[face]]
-        across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        across = area_vectors(corners)
         R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
         eyes = -np.stack([turned(rotation.T, at) for rotation, at in zip(R, t, strict=True)])
         away = dot(across, eyes[view] - corners[:, 0]) < 0.0

@@ -8,6 +8,7 @@ brought back to where the planes of the points around it meet (the quadric error
 
 import numpy as np
 
+from articugen.core.geometry import area_vectors
 from articugen.core.jit import ahead, dot, helper, kernel, minus, squared, vector
 from articugen.core.near import cells_of, near
 from articugen.core.records import Mesh
@@ -42,8 +43,7 @@ def skin(points: OrientedPoints, voxel: float, spacing: float) -> Mesh:
     field = _field(points.points, points.normals, cells, origin, voxel, spacing, R)
     mesh = zero_level(field)
     at = origin + ((mesh.vertices + 0.5) * R - 0.5) * voxel
-    corners = at[mesh.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = area_vectors(at[mesh.faces])
     normals = np.zeros_like(at)
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], across)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
-from articugen.core.geometry import cross
+from articugen.core.geometry import area_vectors, unit_normals
 from articugen.core.portable import dot, norm, product
 from articugen.core.seeding import generator
 from articugen.procedural.kit.model import Model, ModelLink
@@ -54,7 +54,7 @@ class _Cells:
         """Return (F,) the cell of another solid that each face of `solid` lies wholly on or in, or
         -1."""
         corners = solid.vertices[solid.faces]
-        outside = corners + _NOWHERE * _normals(corners)[:, None]
+        outside = corners + _NOWHERE * unit_normals(corners)[:, None]
         lowest = outside.min(axis=(0, 1)) - _NOWHERE
         highest = outside.max(axis=(0, 1)) + _NOWHERE
         meets = np.all((self.boxes[:, 0] <= highest) & (self.boxes[:, 1] >= lowest), axis=1)
@@ -84,7 +84,7 @@ def decorated(model: Model, object_id: str) -> Model:
             np.empty((0, 3, 3)),
             *(s.vertices[s.faces[cells.hiding(s) < 0]] for s in solids),
         ])  # fmt: skip
-        sides = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        sides = area_vectors(corners)
         large = np.flatnonzero((norm(sides) > (longest / 15) ** 2) & (sides[:, 2] > -1e-9))
         chosen = rng.permutation(large)[: rng.integers(_DECALS + 1)]
         decals = (_decal(corners[i], rng.uniform(0.3, 0.9), _LIFT * longest) for i in chosen)
@@ -98,7 +98,7 @@ def _decal(triangle: Floats, size: float, lift: float) -> Solid:
     a, b, c = np.roll(triangle, -((int(np.argmax(edges)) + 2) % 3), axis=0)
     corners = np.array([a, (a + b) / 2, (b + c) / 2, (a + c) / 2])
     corners = corners.mean(axis=0) + size * (corners - corners.mean(axis=0))
-    up = lift * _normals(triangle[None])[0]
+    up = lift * unit_normals(triangle[None])[0]
     sides = ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
     faces = ((3, 2, 1, 0), (4, 5, 6, 7), *sides)
     sheet = Sheet((corners + up / 2)[[[0, 1, 2], [0, 2, 3]]], lift, seen=1)
@@ -157,7 +157,7 @@ class _Rough:
 
     def _sunk(self, triangle: Floats, cell: int) -> Floats:
         """Return (6, 3, 3) walls that go on from a hidden face into the cell that hides it."""
-        planes, down = self.cells.planes[cell], _normals(triangle[None])[0]
+        planes, down = self.cells.planes[cell], unit_normals(triangle[None])[0]
         foot = triangle.mean(axis=0) + 0.9 * (triangle - triangle.mean(axis=0))
         room = planes[:, 3] - product(foot, planes[:, :3].T)  # (3, m)
         speed = dot(planes[:, :3], down)
@@ -204,9 +204,3 @@ def _lattice(k: int) -> tuple[Floats, NDArray[np.int64]]:
     up = [((i, j), (i + 1, j), (i, j + 1)) for i, j in index if i + j < k]
     down = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i, j in index if i + j < k - 1]
     return weights, np.array([[index[corner] for corner in part] for part in up + down])
-
-
-def _normals(triangles: Floats) -> Floats:
-    """Return (n, 3) unit normals of triangles (n, 3, 3)."""
-    normals = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return normals / norm(normals)[:, None]
