@@ -13,6 +13,9 @@ from articugen.core.portable import dot, norm, product, sin_cos, turned
 _NO_AREA = 1e-60
 """The square of twice the area, unit frame, of triangles that are taken for points."""
 
+CORNERS = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
+"""(8, 3) which corner of a box each is along each axis: 0 the lower, 1 the upper."""
+
 _INWARDS = 1e-6
 """Least share of a corner: right behind the edge of a picture that repeats its other side lies."""
 
@@ -96,8 +99,7 @@ def bounds(points: ArrayLike) -> Floats:
 
 def box_corners(box: Floats) -> Floats:
     """Return the 8 corners (8, 3) of a box (2, 3)."""
-    pick = np.array([[(i >> k) & 1 for k in range(3)] for i in range(8)])
-    return np.take_along_axis(box, pick, axis=0)
+    return np.take_along_axis(box, CORNERS, axis=0)
 
 
 def voxel_centres(resolution: int, which: NDArray[np.integer] | None = None) -> Floats:
@@ -144,6 +146,12 @@ def points_in_triangles(
     folded = a + b > 1.0
     a, b = np.where(folded, 1.0 - a, a), np.where(folded, 1.0 - b, b)
     return corners[:, 0] * (1.0 - a - b) + corners[:, 1] * a + corners[:, 2] * b
+
+
+def spread_evenly(rank: Indices) -> Floats:
+    """Return (2, n) places of points (n,) of these numbers in the unit square: the R2 sequence
+    (Roberts 2018)."""
+    return (0.5 + rank * np.array([[0.7548776662466927], [0.5698402909980532]])) % 1.0
 
 
 def plane_weights(corners: Floats, points: Floats) -> Floats:

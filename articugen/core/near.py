@@ -46,24 +46,10 @@ def cells_of(points: Floats, side: float | None = None) -> Cells:
     shape = ((high - low) / side).astype(np.int64) + 1
     x, y, z = (((points[:, k] - low[k]) / side).astype(np.int64) for k in range(3))
     cell = (x * shape[1] + y) * shape[2] + z
-    order, first = _sorted(cell, int(shape.prod()))
+    order = np.argsort(cell, kind="stable")
+    first = np.cumsum(np.bincount(cell + 1, minlength=int(shape.prod()) + 1)).astype(np.int32)
     corner, cubes = (float(low[0]), float(low[1]), float(low[2])), tuple(int(n) for n in shape)
     return Cells(corner, side, cubes, first, order)  # type: ignore[arg-type]
-
-
-@kernel
-def _sorted(cell, count):  # pragma: no cover - compiled
-    """Return the numbers of points by their `cell` (m,), and where each of `count` cells begins."""
-    start = np.zeros(count + 1, np.int32)
-    for i in range(len(cell)):
-        start[cell[i] + 1] += 1
-    for j in range(count):
-        start[j + 1] += start[j]
-    free, number = start.copy(), np.empty(len(cell), np.int64)
-    for i in range(len(cell)):
-        number[free[cell[i]]] = i
-        free[cell[i]] += 1
-    return number, start
 
 
 @helper

@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices, Ints
-from articugen.core.geometry import area_vectors, cross, unit_normals
+from articugen.core.geometry import (
+    area_vectors,
+    cross,
+    points_in_triangles,
+    spread_evenly,
+    unit_normals,
+)
 from articugen.core.jit import helper, kernel, root
 from articugen.core.portable import arctan2, dot, norm
 from articugen.core.records import DepthMaps, LabelledMesh
@@ -122,29 +128,11 @@ def probes(mesh: LabelledMesh, distance: float, *, together: bool = False) -> Pr
         speaker[small] = small[first[which.reshape(-1)]]
         counts[speaker != np.arange(len(counts))] = 0
     face = np.repeat(np.arange(len(counts)), counts)
-    points = _spread(mesh.vertices, mesh.faces, counts, normals, distance, len(face))
-    return Probes(points, face, speaker)
-
-
-@kernel
-def _spread(vertices, faces, counts, normals, distance, total):
-    points = np.empty((2, total, 3))
-    n = 0
-    for f in range(faces.shape[0]):
-        for rank in range(counts[f]):
-            a = (0.5 + rank * 0.7548776662466927) % 1.0
-            b = (0.5 + rank * 0.5698402909980532) % 1.0
-            if a + b > 1.0:
-                a, b = 1.0 - a, 1.0 - b
-            if rank == 0:
-                a = b = 1 / 3
-            for axis in range(3):
-                at = (1.0 - a - b) * vertices[faces[f, 0], axis] + a * vertices[faces[f, 1], axis]
-                at += b * vertices[faces[f, 2], axis]
-                offset = distance * normals[f, axis]
-                points[0, n, axis], points[1, n, axis] = at + offset, at - offset
-            n += 1
-    return points
+    rank = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    a, b = (np.where(rank, at, 1.0 / 3.0)[:, None] for at in spread_evenly(rank))
+    points = points_in_triangles(mesh.vertices[mesh.faces[face]], a, b)
+    away = distance * normals[face]
+    return Probes(np.stack([points + away, points - away]), face, speaker)
 
 
 def shown_sides(mesh: LabelledMesh, maps: DepthMaps) -> Indices:

@@ -14,6 +14,7 @@ from articugen.core.geometry import (
     nearest_weights,
     pick_by_weight,
     points_in_triangles,
+    spread_evenly,
 )
 from articugen.core.recipe import ViewSettings
 from articugen.core.records import LabelledMesh, Views
@@ -134,8 +135,7 @@ def spread(triangles: Floats, count: int) -> SurfaceCloud:
         return SurfaceCloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rank = np.arange(count)
     face = pick_by_weight(twice, (rank + 0.5) / count)
-    a = (0.5 + rank * 0.7548776662466927) % 1.0  # the R2 sequence (Roberts 2018)
-    b = (0.5 + rank * 0.5698402909980532) % 1.0
+    a, b = spread_evenly(rank)
     points = points_in_triangles(triangles[face], a[:, None], b[:, None])
     area = np.full(count, 0.5 * twice.sum() / count)
     return SurfaceCloud(points, normal[face] / twice[face, None], area)

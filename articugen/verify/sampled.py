@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.geometry import apply, invert_rigid, voxel_centres
-from articugen.core.jit import kernel
+from articugen.core.geometry import CORNERS, apply, invert_rigid, voxel_centres
 from articugen.core.near import Sorted, any_within, by_cell, nearest_within
 from articugen.core.recipe import Recipe
 from articugen.core.records import FREE, Floats, dequantize, is_material
@@ -251,16 +250,9 @@ def _some(rows: NDArray[Any], most: int = 1000) -> NDArray[Any]:
     return rows[:: len(rows) // most + 1]
 
 
-@kernel
-def _about(grid, points):  # pragma: no cover - compiled
+def _about(grid: NDArray[np.uint8], points: Floats) -> NDArray[np.uint8]:
     """Return (n, 8) the labels of the 8 voxels whose centres surround each point (n, 3)."""
-    size = len(grid)
-    labels = np.empty((len(points), 8), np.uint8)
-    for n in range(len(points)):
-        x, y, z = [int(np.floor((p + 0.5) * size - 0.5)) for p in points[n]]
-        for corner in range(8):
-            i = min(max(x + (corner & 1), 0), size - 1)
-            j = min(max(y + (corner >> 1 & 1), 0), size - 1)
-            k = min(max(z + (corner >> 2), 0), size - 1)
-            labels[n, corner] = grid[i, j, k]
-    return labels
+    first = np.floor((points + 0.5) * len(grid) - 0.5).astype(int)
+    around = np.clip(first[:, None] + CORNERS, 0, len(grid) - 1)
+    x, y, z = np.moveaxis(around, 2, 0)
+    return grid[x, y, z]
