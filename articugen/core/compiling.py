@@ -26,7 +26,7 @@ from articugen.core.records import LabelledMesh, Views
 WARM_UPS = {
     "generate": (
         "fusion.warm:views", "rendering.warm:drawing", "fusion.warm:rays", "fusion.warm:solids",
-        "fusion.warm:boxes", "instance.warm:swept",
+        "fusion.warm:boxes",
     ),
     "inspect": (
         "pictures.warm:discs", "pictures.warm:light", "inspection.warm:skins",
