@@ -54,21 +54,6 @@ def _cosine(z):
 
 
 @helper(fastmath={"contract"})
-def _sines(z, count, s):
-    for o in range(count):
-        for j in range(BLOCK):
-            s[o, j] = _sine(z[o, j])
-
-
-@helper(fastmath={"contract"})
-def _sines_and_cosines(z, count, s, c):
-    for o in range(count):
-        for j in range(BLOCK):
-            s[o, j] = _sine(z[o, j])
-            c[o, j] = _cosine(z[o, j])
-
-
-@helper(fastmath={"contract"})
 def _affine(W, b, x, z):
     """z = W x + b."""
     n_out, n_in = W.shape
@@ -96,14 +81,39 @@ def _affine(W, b, x, z):
             i += 1
 
 
+@helper(fastmath={"contract"})
+def _sines(W, b, x, z, s):
+    """z = W x + b, s = sin(z)."""
+    _affine(W, b, x, z)
+    for o in range(len(W)):
+        for j in range(BLOCK):
+            s[o, j] = _sine(z[o, j])
+
+
+@helper(fastmath={"contract"})
+def _sines_and_cosines(W, b, x, z, s, c):
+    """z = W x + b, s = sin(z), c = cos(z)."""
+    _affine(W, b, x, z)
+    for o in range(len(W)):
+        for j in range(BLOCK):
+            s[o, j] = _sine(z[o, j])
+            c[o, j] = _cosine(z[o, j])
+
+
 @helper(**_SUMS)
-def _gathered(d, x, n_out, n_in, gW, gb):
-    """Add what a layer's weights get from d, the gradient of W x + b."""
-    for o in range(n_out):
+def _added(d, count, to):
+    """Add the sums over the points."""
+    for o in range(count):
         total = _ZERO
         for j in range(BLOCK):
             total += d[o, j]
-        gb[o] += total
+        to[o] += total
+
+
+@helper(**_SUMS)
+def _gathered(d, x, n_out, n_in, gW, gb):
+    """Add what a layer's weights get from d, the gradient of W x + b."""
+    _added(d, n_out, gb)
     i = 0
     while i + 4 <= n_in:
         for o in range(n_out):
@@ -150,24 +160,19 @@ def forward(
                 for j in range(count):
                     for k in range(3):
                         x[k, j] = points[b, start + j, k]
-                _affine(moved[b, p], shift[b, p], x, z)
-                _sines(z, c, s)
+                _sines(moved[b, p], shift[b, p], x, z, s)
                 for o in range(c):
                     for j in range(BLOCK):
                         s[o, j] += template[b, p, o]
-                _affine(W1[p], b1[p], s, z)
-                _sines(z, h, s)
-                _affine(W2[p], b2[p], s, z)
-                _sines(z, m, trunk)
+                _sines(W1[p], b1[p], s, z, s)
+                _sines(W2[p], b2[p], s, z, trunk)
                 for head in range(2):
                     g = p + head * P
                     for o in range(m):
                         for j in range(BLOCK):
                             s[o, j] = trunk[o, j] + (detail[b, p, o] if head else _ZERO)
-                    _affine(W3[g], b3[g], s, z)
-                    _sines(z, h, s)
-                    _affine(W4[g], b4[g], s, z)
-                    _sines(z, c, s)
+                    _sines(W3[g], b3[g], s, z, s)
+                    _sines(W4[g], b4[g], s, z, s)
                     _affine(W5[g], b5[g], s, z)
                     for j in range(count):
                         out[b, g, start + j] = z[0, j]
@@ -207,15 +212,12 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                 for j in range(count):
                     for k in range(3):
                         x[k, j] = points[b, chosen[start + j], k]
-                _affine(moved[b, p], shift[b, p], x, z)
-                _sines_and_cosines(z, c, s0, c0)
+                _sines_and_cosines(moved[b, p], shift[b, p], x, z, s0, c0)
                 for o in range(c):
                     for j in range(BLOCK):
                         s0[o, j] += template[b, p, o]
-                _affine(W1[p], b1[p], s0, z)
-                _sines_and_cosines(z, h, s1, c1)
-                _affine(W2[p], b2[p], s1, z)
-                _sines_and_cosines(z, m, s2, c2)
+                _sines_and_cosines(W1[p], b1[p], s0, z, s1, c1)
+                _sines_and_cosines(W2[p], b2[p], s1, z, s2, c2)
                 for o in range(m):
                     for j in range(BLOCK):
                         alone[o, j] = _ZERO
@@ -227,10 +229,8 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                         for o in range(m):
                             for j in range(BLOCK):
                                 s2[o, j] += detail[b, p, o]
-                    _affine(W3[at], b3[at], s2, z)
-                    _sines_and_cosines(z, h, s3, c3)
-                    _affine(W4[at], b4[at], s3, z)
-                    _sines_and_cosines(z, c, s4, c4)
+                    _sines_and_cosines(W3[at], b3[at], s2, z, s3, c3)
+                    _sines_and_cosines(W4[at], b4[at], s3, z, s4, c4)
                     _gathered(g, s4, 1, c, g_W5[at], g_b5[at])
                     for o in range(c):
                         for j in range(BLOCK):
@@ -247,9 +247,6 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                             alone[o, j] += e[o, j]
                     if head:
                         _added(e, m, g_detail[b, p])
-                        for o in range(m):
-                            for j in range(BLOCK):
-                                s2[o, j] -= detail[b, p, o]
                 for o in range(m):
                     for j in range(BLOCK):
                         d[o, j] = alone[o, j] * c2[o, j]
@@ -265,13 +262,3 @@ def backward(  # noqa: PLR0912, PLR0915 - one pass, in the order of the layers
                     for j in range(BLOCK):
                         d[o, j] = e[o, j] * c0[o, j]
                 _gathered(d, x, c, 3, g_moved[b, p], g_shift[b, p])
-
-
-@helper(**_SUMS)
-def _added(d, count, to):
-    """Add the sums over the points."""
-    for o in range(count):
-        total = _ZERO
-        for j in range(BLOCK):
-            total += d[o, j]
-        to[o] += total
