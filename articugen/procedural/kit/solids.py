@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from articugen.core.arrays import Floats
 from articugen.core.geometry import apply, cross, rotation_about, transform
 from articugen.core.portable import arctan2, dot, norm, product, total, turned
-from articugen.procedural.kit.outlines import circle, convex_pieces, rounded_rectangle
+from articugen.procedural.kit.outlines import circle, convex_pieces, rectangle, rounded_rectangle
 
 Face = tuple[int, ...]
 """A convex, plane polygon: vertex indices, counter-clockwise seen from outside its cell."""
@@ -30,9 +30,6 @@ FLAT = 1e-9  # metres by which a vertex may lie off its face's plane
 PLANE = FLAT / 10  # metres between the diagonals of a side that is one face
 
 _ALMOST = 1.0 - 1e-6
-
-
-_CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +252,7 @@ def block(
     outlines = [
         rounded_rectangle(width - 2 * d, depth - 2 * d, max(radius - d, d), middle, segments)
         if radius > 0.0
-        else _CORNERS * (width - 2 * d, depth - 2 * d) + middle
+        else rectangle(width - 2 * d, depth - 2 * d, middle)
         for d, _ in layers
     ]
     return stack(outlines, [z for _, z in layers])
