@@ -23,7 +23,7 @@ from articugen.core.near import cells_of, near
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
 from articugen.core.tables import duration, size
-from articugen.inspection.summary import histogram, shards_of, summary
+from articugen.inspection.summary import histogram, summary
 from articugen.pictures.camera import framed
 from articugen.pictures.contact_sheet import contact_sheet
 from articugen.pictures.layout import CAPTION, MARGIN, TILE, Row, sheet
@@ -31,6 +31,7 @@ from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detai
 from articugen.pictures.shading import PAPER
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, surfels
+from articugen.store.shelf import shards_of
 
 
 def one_part(points: np.ndarray, normals: np.ndarray) -> OrientedPoints:

@@ -49,7 +49,8 @@ def inspect(
 ) -> None:
     """Print what a shard or a data set holds, draw it, and report on it."""
     from articugen.cli.console import left_out
-    from articugen.inspection.summary import shards_of, summary
+    from articugen.inspection.summary import summary
+    from articugen.store.shelf import shards_of
 
     if beside and not html:
         raise typer.BadParameter("--beside is a section of the report; name that with --html")

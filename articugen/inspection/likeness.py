@@ -20,11 +20,11 @@ from articugen.core.jit import helper, kernel
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.inspection.summary import shards_of
 from articugen.pictures.contact_sheet import Chosen, chosen_of, portraits
 from articugen.pictures.layout import Row, sheet
 from articugen.pictures.shading import Picture
 from articugen.store.shards import open_shard
+from articugen.store.shelf import shards_of
 
 POINTS = 1200
 MOST = 300  # objects of a set that are compared, chosen evenly

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from articugen.core import schema
 from articugen.core.arrays import Floats, Ints
-from articugen.core.errors import InvalidArgument
 from articugen.core.records import ENCLOSED, STORED_KINDS, JointKind
 from articugen.core.schema import resolution_of
 from articugen.core.tables import DIM, quiet_table, size
@@ -22,18 +21,6 @@ from articugen.store.shards import Shard, open_shard
 LOOKED_AT = 256  # instances whose points and grids, spread evenly, stand for all of them
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 24
-
-
-def shards_of(path: Path) -> list[Path]:
-    """Return the shards that a path, of one or of a folder, stands for; InvalidArgument if none."""
-    if path.is_dir():
-        shards = sorted(path.glob("*.h5"))
-        if not shards:
-            raise InvalidArgument(f"{path}: holds no shard; make one with: articugen generate")
-        return shards
-    if not path.exists():
-        raise InvalidArgument(f"{path}: there is no such shard or folder; correct its path")
-    return [path]
 
 
 def summary(shards: Sequence[Path]) -> RenderableType:

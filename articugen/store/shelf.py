@@ -24,10 +24,10 @@ def shelf_at(path: str | Path) -> "Shelf":
     `dataset.open`."""
     place = Remote(str(path)) if is_url(path) else Path(path)
     is_remote = isinstance(place, Remote)
-    if place.name.endswith(".h5") if is_remote else place.is_file():
+    if is_remote and place.name.endswith(".h5"):
         return Shelf(place, (_entry_of(place),), None)
     if not is_remote and not (place / MANIFEST_NAME).exists():
-        return Shelf(place, tuple(map(_entry_of, _shards_in(place))), None)
+        return Shelf(place, tuple(map(_entry_of, shards_of(place))), None)
     manifest = Manifest.in_bucket(folder_at(place.url)) if is_remote else Manifest.read(place)
     if manifest is None:
         raise CorruptShard(
@@ -82,15 +82,17 @@ def _entry_of(path: Path | Remote) -> _Entry:
         return _Entry(path, str(shard.attributes["split"]), shard.object_ids())
 
 
-def _shards_in(folder: Path) -> list[Path]:
-    """Return the shards in a folder; InvalidArgument where there is none."""
-    if not folder.is_dir():
-        raise InvalidArgument(f"{folder}: there is no such shard or folder; correct its path")
-    shards = sorted(folder.glob("*.h5"))
+def shards_of(path: Path) -> list[Path]:
+    """Return the shards that a path, of one or of a folder, stands for; InvalidArgument if none."""
+    if not path.exists():
+        raise InvalidArgument(f"{path}: there is no such shard or folder; correct its path")
+    if not path.is_dir():
+        return [path]
+    shards = sorted(path.glob("*.h5"))
     if not shards:
-        inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
-        cure = f"open one of: {', '.join(inside)}" if inside else "make one with generate"
-        raise InvalidArgument(f"{folder}: holds no shard; {cure}")
+        some = sorted(manifest.parent.name for manifest in path.glob(f"*/{MANIFEST_NAME}"))
+        cure = f"open one of: {', '.join(some)}" if some else "make one with: articugen generate"
+        raise InvalidArgument(f"{path}: holds no shard; {cure}")
     return shards
 
 

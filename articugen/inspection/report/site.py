@@ -31,11 +31,11 @@ from articugen.inspection.report.markup import Markup, el, hint, join, text
 from articugen.inspection.report.page import Section, document, drawable, sections_of, webp
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import turnable
-from articugen.inspection.summary import shards_of
 from articugen.pictures.contact_sheet import portraits
 from articugen.pictures.shading import Picture
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.shards import open_shard
+from articugen.store.shelf import shards_of
 
 PICTURE, POOLED = 176, 3  # of a tile: pixels along an edge, instances whose points make it
 VIEWS, DEPTH = 4, 144  # of the stored depth images: how many are shown, pixels along an edge
