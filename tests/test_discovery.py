@@ -17,6 +17,8 @@ from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
+from articugen.discovery.clouds import Surface
+from articugen.discovery.frames import frame_of_faces
 from articugen.discovery.objects import Judged, ObjectJoints, _judged, axes_apart, discover_all
 from articugen.store.rows import Row
 from tests.shapes import box
@@ -250,13 +252,14 @@ def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> Non
         assert abs(joint.states[1] - angle) < 0.02
 
 
-def bundled(name: str, poses: int) -> Discovery:
-    """What is found in the first poses of a bundled object."""
+def bundled(name: str, poses: int, R: Floats | None = None) -> Discovery:
+    """Joints of a bundled model by its first poses, with normals, all turned by R (3, 3)."""
     few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}
     keys = {"extends": "category", "sampling": few}
     made = ag.Maker(ag.load("procedural", name), keys)[:poses]
-    clouds = [dequantize(one.instance.surface_points) for one in made]
-    return discover(clouds, normals=[one.instance.surface_normals / 127 for one in made])
+    R = np.eye(3) if R is None else R
+    clouds = [dequantize(one.instance.surface_points) @ R.T for one in made]
+    return ag.discover(clouds, normals=[one.instance.surface_normals / 127 @ R.T for one in made])
 
 
 @pytest.mark.parametrize("name", ["drawer_0018", "drawer_0125"])
@@ -266,6 +269,40 @@ def test_what_a_drawer_hides_does_not_move(name: str) -> None:
     assert [joint.kind for joint in found.joints] == [JointKind.PRISMATIC] * 3
     for joint in found.joints:
         assert degrees_between(np.abs(joint.axis), (1, 0, 0)) < 2.0
+
+
+def test_an_object_may_be_turned_any_way() -> None:
+    R = rotation_about(np.array([0.6, 0.0, 0.8]), 1.0)
+    upright, turned = bundled("drawer_0010", 9), bundled("drawer_0010", 9, R)
+    assert len(upright.joints) == len(turned.joints) == 3
+    assert (turned.points == upright.points @ R.T).all()
+    for one, other in zip(upright.joints, turned.joints, strict=True):
+        assert degrees_between(other.axis, (R @ one.axis).tolist()) < 1.0
+        assert np.abs(other.states - one.states).max() < 0.005
+        assert np.abs(other.pivot - R @ one.pivot).max() < 0.01
+
+
+@pytest.mark.parametrize("normals", [True, False])
+def test_faces_lay_an_object_along_the_axes(normals: bool) -> None:
+    R = rotation_about(np.array([0.0, 0.6, 0.8]), 0.7)
+    rng = np.random.default_rng(3)
+    mesh = box((0.5, 0.4, 0.3))
+    face = rng.choice(12, 4000, p=mesh.area_faces / mesh.area)
+    weights = rng.dirichlet(np.ones(3), 4000)
+    cloud = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+    outward = mesh.face_normals[face]
+
+    def frame(points: Floats, faces: Floats) -> Floats:
+        return frame_of_faces([Surface.bare(points, faces if normals else None)])
+
+    axes = frame(cloud @ R.T, outward @ R.T)
+    assert np.abs(axes @ R).max(1).min() > np.cos(np.radians(1.0))
+    assert np.allclose(axes @ axes.T, np.eye(3))
+    assert np.linalg.det(axes) > 0.0
+    sphere = rng.normal(size=(4000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    assert (frame(cloud, outward) == np.eye(3)).all()
+    assert (frame(sphere, sphere) == np.eye(3)).all()
 
 
 def test_two_poses_show_the_plainest_joint_that_explains_them() -> None:

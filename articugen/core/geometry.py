@@ -151,7 +151,8 @@ def points_in_triangles(
 def spread_evenly(rank: Indices) -> Floats:
     """Return (2, n) places of points (n,) of these numbers in the unit square: the R2 sequence
     (Roberts 2018)."""
-    return (0.5 + rank * np.array([[0.7548776662466927], [0.5698402909980532]])) % 1.0
+    steps: Floats = np.array([[0.7548776662466927], [0.5698402909980532]])
+    return (0.5 + rank * steps) % 1.0
 
 
 def plane_weights(corners: Floats, points: Floats) -> Floats:

@@ -230,14 +230,11 @@ def change(
     size = max(float((high - low).max()), 1e-12) / _EDGE
     frame = Normalization((low + high) / 2.0, size)
     rng = np.random.default_rng(0)
-    surfaces = _with_normals([frame.to_unit(cloud) for cloud in sound], normals)
+    surfaces = with_normals([frame.to_unit(cloud) for cloud in sound], normals)
     clouds = tuple(_thinned(surface, rng) for surface in surfaces)
     points = [cloud.points for cloud in clouds]
     first = Cells.of(clouds[:1])
-    # most points of a surface are nearer to one another than `near`
-    some = np.ascontiguousarray(points[0][:: max(len(points[0]) // 2000, 1)])
-    gaps = kernels.spacing(some, first.points, first.starts, 2.0 / kernels.CELLS)
-    near = float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
+    near = spacing_of(points[0], first)
     others = Cells.of(clouds[1:], near)
     sight = None if cameras is None else Sight.of(points, frame.to_unit(cameras))
     left = _left(points[0], others) if sight is None else sight.free(points[0])[1:].mean(1)
@@ -281,6 +278,13 @@ def change(
     )
 
 
+def spacing_of(points: Floats, cells: Cells) -> float:
+    """Return how near to one another most points of a surface are, which is in cells, too."""
+    some = np.ascontiguousarray(points[:: max(len(points) // 2000, 1)])
+    gaps = kernels.spacing(some, cells.points, cells.starts, 2.0 / kernels.CELLS)
+    return float(np.clip(1.25 * np.quantile(gaps, 0.97), *_NEAR))
+
+
 def widened(bits: NDArray[Any], steps: int, axes: Sequence[int] = (1, 2, 3)) -> NDArray[Any]:
     """Return grids (G, R, R, R) of bits with those of all cells up to `steps` away along each of
     the axes."""
@@ -311,14 +315,18 @@ def checked(poses: Sequence[Any]) -> list[Floats]:
     ]
 
 
-def _with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
+def with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
+    """Return clouds (n, 3) with their normals, where these are known.
+
+    Raises:
+        InvalidArgument: they are not one for each point.
+    """
     points = [np.ascontiguousarray(cloud) for cloud in clouds]
     if normals is None:
         return [Surface.bare(cloud) for cloud in points]
     outward = [np.ascontiguousarray(normal, np.float64) for normal in normals]
-    shapes = [normal.shape for normal in outward]
-    if shapes != [cloud.shape for cloud in points]:
-        raise InvalidArgument(f"normals of shapes {shapes} are not one for each point")
+    if [normal.shape for normal in outward] != [cloud.shape for cloud in points]:
+        raise InvalidArgument("normals are not one for each point; give those of each cloud")
     return [Surface.bare(*both) for both in zip(points, outward, strict=True)]
 
 

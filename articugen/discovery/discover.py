@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from articugen.core.records import Floats, JointKind
 from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
-from articugen.discovery.fitting import fitted, some, states_of
+from articugen.discovery.fitting import fitted, refitted, some, states_of
 from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
 
@@ -301,25 +301,10 @@ class Finder:
                 points = np.flatnonzero((best == j + 1) & (shares[j + 1] >= _AGREES))
                 core = some(points, 400)
                 if len(core) >= 12:
-                    joints[j] = self._refitted(joint, core)
+                    plain = 0.0 if joint.turns else PLAIN**self.prior
+                    joints[j] = refitted(joint, self.part[core], self.change.poses, plain)
             joints = self._needed(joints)
         return joints
-
-    def _refitted(self, joint: Candidate, core: NDArray[np.intp]) -> Candidate:
-        """Fitted to these points; a slide along the coordinate axis beside its own, where that
-        agrees with them as well."""
-        part, poses, near = self.part[core], self.change.poses, self.change.near
-
-        def refit(joint: Candidate, tilts: bool) -> tuple[Candidate, int]:
-            for reach in (2.5, 1.5, 1.0, 1.0):
-                joint = fitted(joint, part, poses, reach * near, 8, tilts=tilts)
-            return joint, int(poses.met(part, motions(joint), near).sum())
-
-        as_it_is, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
-        if joint.turns:
-            return as_it_is
-        snapped, as_many = refit(joint.snapped(), tilts=False)
-        return snapped if as_many * PLAIN**self.prior >= hits else as_it_is
 
     def _needed(self, joints: list[Candidate]) -> list[Candidate]:
         """Without those that explain too little that no other joint does."""

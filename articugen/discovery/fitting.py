@@ -52,6 +52,22 @@ def fitted(
     return replace(joint, axis=axis, pivot=pivot, states=states)
 
 
+def refitted(joint: Candidate, part: Surface, cells: Cells, plain: float) -> Candidate:
+    """Return the joint fitted to a part in ever narrower reach; with the coordinate axis beside its
+    own where that agrees as well, `plain` times as much counting alike, or 0 if it is no choice."""
+
+    def refit(joint: Candidate, tilts: bool) -> tuple[Candidate, int]:
+        for reach in (2.5, 1.5, 1.0, 1.0):
+            joint = fitted(joint, part, cells, reach * cells.near, 8, tilts=tilts)
+        return joint, int(cells.met(part, motions(joint), cells.near).sum())
+
+    free, hits = refit(joint, tilts=np.abs(joint.axis).max() < 1.0)
+    if not plain:
+        return free
+    snapped, as_many = refit(joint.snapped(), tilts=False)
+    return snapped if as_many * plain >= hits else free
+
+
 def states_of(joint: Candidate, part: Surface, cells: Cells, fixed: Cells) -> Floats:
     """Return (K,) the states at which a part lies on each of the poses in `cells`, searched one by
     one over a whole turn or the cube's length, then made exact. What is there in many poses, or is

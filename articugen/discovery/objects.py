@@ -4,7 +4,7 @@ beside the truth where there is one."""
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.core.geometry import invert_rigid, motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
+from articugen.discovery.clouds import checked, with_normals
+from articugen.discovery.frames import frame_of_faces
 from articugen.discovery.groups import Groups, agreement, group_instances
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
 from articugen.meshes.points import numbers_of_file
@@ -77,8 +79,8 @@ def discover(
     and `discover_views` for those of which one camera each saw what there is.
 
     Args:
-        poses: two or more, in one frame: clouds (n, 3) or occupancy grids (R, R, R), which stand
-            for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
+        poses: two or more, in one frame, turned any way: clouds (n, 3) or occupancy grids (R, R,
+            R), which stand for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
         normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
             where they are given.
         joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
@@ -87,12 +89,21 @@ def discover(
         InvalidArgument: nothing can be found in them, or there is no such kind.
         InvalidSource: a file cannot be read.
     """
-    clouds = [_cloud(pose) for pose in poses]
-    if cameras is None:
-        return discovery.discover(clouds, normals=normals, kinds=_kinds(joints))
-    if normals is not None:
+    if cameras is not None and normals is not None:
         raise InvalidArgument("cameras give normals of their own; leave out `normals`")
-    return discovery.discover_views(clouds, cameras, kinds=_kinds(joints))
+    surfaces, kinds = (
+        with_normals(checked([_cloud(pose) for pose in poses]), normals),
+        _kinds(joints),
+    )
+    R = frame_of_faces(surfaces) if surfaces else np.eye(3)
+    turned = [surface.points @ R.T for surface in surfaces]
+    if cameras is None:
+        outward = None if normals is None else [surface.normals @ R.T for surface in surfaces]
+        outcome = discovery.discover(turned, normals=outward, kinds=kinds)
+    else:
+        outcome = discovery.discover_views(turned, np.asarray(cameras) @ R.T, kinds=kinds)
+    back = [replace(j, axis=j.axis @ R, pivot=j.pivot @ R) for j in outcome.joints]
+    return replace(outcome, joints=tuple(back), points=surfaces[outcome.reference].points)
 
 
 def discover_all(

@@ -18,7 +18,7 @@ from articugen.core.jit import kernel
 from articugen.core.near import by_cell, nearest_within
 from articugen.core.records import JointKind
 from articugen.discovery.alignment import CELLS, SIDE, Alignment, facing_of, grid_of, values_at
-from articugen.discovery.clouds import checked
+from articugen.discovery.clouds import checked, with_normals
 from articugen.discovery.discover import KINDS
 from articugen.discovery.joints import FoundJoint
 from articugen.discovery.search import Candidate, motions
@@ -280,7 +280,12 @@ def discover_shared(
         InvalidArgument: the objects are few, one is no cloud of points, or normals are not one for
             each point.
     """
-    sound, outward = _checked(clouds, normals)
+    if len(clouds) < FEWEST:
+        raise InvalidArgument(
+            f"{len(clouds)} objects say little of what a category shares; give {FEWEST} or more"
+        )
+    surfaces = with_normals(checked(clouds), normals)
+    sound, outward = [s.points for s in surfaces], [s.normals for s in surfaces]
     alignment = Alignment(sound, [facing_of(ways) for ways in outward])
     stretch, shift, agreement = alignment.best()
     vote = _Vote(sound, outward, stretch, shift)
@@ -321,15 +326,3 @@ def _labels(vote: _Vote, follows: list[list[Floats]]) -> tuple[Ints, ...]:
             part[~sure] = part[sure][nearest]
         labels.append(part)
     return tuple(labels)
-
-
-def _checked(clouds: Sequence[Any], normals: Sequence[Any]) -> tuple[list[Floats], list[Floats]]:
-    if len(clouds) < FEWEST:
-        raise InvalidArgument(
-            f"{len(clouds)} objects say little of what a category shares; give {FEWEST} or more"
-        )
-    sound = checked(clouds)
-    outward = [np.asarray(ways, np.float64) for ways in normals]
-    if [ways.shape for ways in outward] != [cloud.shape for cloud in sound]:
-        raise InvalidArgument("normals are not one for each point; give those of each object")
-    return sound, outward
