@@ -10,10 +10,14 @@ from test_discovery import BODY, Motion, degrees_between, line_distance, sampled
 
 import articugen as ag
 from articugen.core.errors import InvalidArgument
-from articugen.core.geometry import apply, invert_rigid
+from articugen.core.geometry import apply, invert_rigid, transform
 from articugen.core.records import Floats, JointKind
-from articugen.discovery import discover_views
+from articugen.discovery import KINDS, discover_views
+from articugen.discovery.clouds import change
+from articugen.discovery.discover import Finder
 from articugen.discovery.objects import discover_all
+from articugen.discovery.one_camera import _Exact, _Fit
+from articugen.discovery.search import Candidate
 from articugen.discovery.views import Sight
 
 LID, HINGE = ((0.4, 0.5, 0.03), (-0.2, 0.0, 0.265)), turn((0.0, 1.0, 0.0), (-0.4, 0.0, 0.25))
@@ -31,9 +35,9 @@ def hidden(points: Floats, eye: Floats, box: tuple[Floats, Floats], T: Floats) -
     return (enters < np.minimum(leaves, 1.0)) & (enters < 0.995) & (leaves > 0.0)
 
 
-def seen(eye: Floats, T: Floats, rng: np.random.Generator, part: Any = LID) -> Floats:
-    """Points of the body and of a part at T that nothing hides."""
-    boxes = [(BODY, np.eye(4)), (part, T)]
+def seen(eye: Floats, T: Floats, rng: np.random.Generator, part: Any = LID, *more: Any) -> Floats:
+    """Points of the body, of a part at T and of others (box, T) that nothing hides."""
+    boxes = [(BODY, np.eye(4)), (part, T), *more]
     points = np.concatenate([apply(M, sampled(*shape, rng, 5000)) for shape, M in boxes])
     for (size, centre), M in boxes:
         points = points[~hidden(points, eye, (np.array(size), np.array(centre)), M)]
@@ -96,6 +100,43 @@ def test_a_door_is_found_in_the_order_of_the_clouds() -> None:
     truth = np.sign(door.axis[2]) * (STATES - STATES[found.reference])
     np.testing.assert_allclose(door.states[known], truth[known], atol=0.03)
     assert door.states[found.reference] == 0.0
+
+
+def with_a_drawer(eyes: Floats, *, slides: bool) -> list[Floats]:
+    """Views of a lid that turns and a drawer below it, which may slide, too."""
+    rng, drawer = np.random.default_rng(0), ((0.4, 0.4, 0.3), (-0.18, 0.0, -0.05))
+    slid = [transform(translation=(slides * (0.17 * k % 0.5), 0, 0)) for k in range(len(STATES))]
+    posed = zip(eyes, STATES, slid, strict=True)
+    return [seen(eye, HINGE(q), rng, LID, (drawer, T)) for eye, q, T in posed]
+
+
+def test_a_lid_alone_is_refused_where_a_drawer_slides_too() -> None:
+    eyes = around(len(STATES))
+    clouds = with_a_drawer(eyes, slides=True)[:4]
+    with pytest.raises(InvalidArgument, match="more moves than the joints that are found explain"):
+        discover_views(clouds, eyes[:4], kinds=[JointKind.REVOLUTE])
+
+
+@pytest.mark.parametrize("slides", [False, True])
+def test_what_the_true_hinge_leaves_unexplained_is_the_drawers(slides: bool) -> None:
+    eyes, shares = around(len(STATES)), []
+    for first in (
+        0,
+        2,
+    ):  # where the drawer is shut, and what it shows elsewhere is new; and is open
+        order = np.roll(np.arange(len(STATES)), -first)
+        clouds = with_a_drawer(eyes, slides=slides)
+        diff = change([clouds[k] for k in order], cameras=eyes[order])
+        pivot, states = diff.frame.to_unit(np.array([-0.4, 0.0, 0.25])), STATES[order]
+        hinge = Candidate(True, np.array([0.0, 1.0, 0.0]), pivot, states[1:] - states[0])
+        fits = [_Fit(hinge, np.ones(len(STATES) - 1, np.bool_), np.ones(len(STATES) - 1))]
+        exact = _Exact(diff, eyes[order])
+        shares.append((exact._lost(Finder(diff, KINDS, {}), fits), exact._strange(fits)))
+    if slides:
+        assert shares[0][1] > 0.15
+        assert shares[1][0] > 0.3
+    else:
+        assert np.max(shares) < 0.01
 
 
 def test_what_is_never_seen_twice_is_refused() -> None:

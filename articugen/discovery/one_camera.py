@@ -18,7 +18,7 @@ from articugen.core.geometry import norm
 from articugen.core.records import JointKind
 from articugen.discovery.clouds import Cells, Change, Surface, change, checked, is_new, still
 from articugen.discovery.discover import BESIDE, KINDS, PLAIN, Finder
-from articugen.discovery.fitting import fitted, some, states_of
+from articugen.discovery.fitting import refitted, some, states_of
 from articugen.discovery.joints import Discovery, by_size, found_joint, labels
 from articugen.discovery.search import Candidate, carried, motions
 from articugen.discovery.views import Sight
@@ -36,6 +36,8 @@ _ACROSS = 0.2  # of a slide's points that face along it: a plane along itself sh
 _SAME_WAY, _SAME_STATES = 0.98, {True: 0.1, False: 0.03}  # joints that are one
 _APART = 0.05  # of the axes of two
 
+_LOST, _STRANGE = 0.12, 0.25  # so much of what has left, or is new, may follow no joint
+
 
 def discover_views(
     poses: Sequence[Any], cameras: Any, *, kinds: Collection[JointKind] = KINDS
@@ -52,8 +54,8 @@ def discover_views(
         States count from those of its `reference`; they are NaN where too little is seen.
 
     Raises:
-        InvalidArgument: one is no cloud of points, cameras are not one for each, or too little is
-            seen of what moves.
+        InvalidArgument: one is no cloud of points, cameras are not one for each, too little is seen
+            of what moves, or more moves than the joints explain.
     """
     clouds = checked(poses)
     eyes = np.asarray(cameras, np.float64)
@@ -64,12 +66,11 @@ def discover_views(
     why = "nothing that moves is seen from the same side twice"
     for order in _orders(clouds, eyes):
         try:
-            diff = change([clouds[k] for k in order], cameras=eyes[order])
+            exact = _Exact(change([clouds[k] for k in order], cameras=eyes[order]), eyes[order])
+            fits = exact.joints(kinds)
         except InvalidArgument as error:
             why = str(error)
             continue
-        exact = _Exact(diff, eyes[order])
-        fits = exact.joints(kinds)
         if fits:
             return exact.discovery(fits, clouds, order)
     raise InvalidArgument(f"no joint is found ({why}); give more views, or whole clouds")
@@ -125,7 +126,8 @@ class _Exact:
         self.new = Cells.of([s[new] for s, new in zip(others, fresh, strict=True)], near)
 
     def joints(self, kinds: Collection[JointKind]) -> list[_Fit]:
-        """Return the joints, unlike one another, those first that most is known of."""
+        """Return the joints, unlike one another, those first that most is known of; InvalidArgument
+        if more moves than they explain."""
         search = Finder(self.diff, kinds, {})
         search.look_for_joints()
         fits = list[_Fit]()
@@ -138,7 +140,40 @@ class _Exact:
         for fit in fits:
             if fit.known.sum() >= enough and not any(fit.is_like(other) for other in unlike):
                 unlike.append(fit)
+        if self._lost(search, unlike) > _LOST or self._strange(unlike) > _STRANGE:
+            raise InvalidArgument("more moves than the joints that are found explain")
         return unlike
+
+    def _lost(self, search: Finder, fits: list[_Fit]) -> float:
+        """Return the share of what has left that joints, where their states are known, move mostly
+        to where nothing is, all of them."""
+        part, at = self.diff.start[search.movers], self.diff.chosen - 1
+        known, lands, fails = np.zeros((3, *search.gone.shape), np.bool_)
+        for fit in fits:
+            M, knows = motions(fit.joint)[at], fit.known[at, None]
+            there = self.diff.poses.met(part, M, 1.5 * self.diff.near)
+            free = self.sight[self.diff.chosen].free(carried(M, part.points))
+            known, lands, fails = (
+                known | knows,
+                lands | knows & there,
+                fails | knows & ~(free & ~there),
+            )
+        against = (search.gone & known & ~fails).sum(0)
+        judged = against + (search.gone & lands).sum(0)
+        return float((2 * against > judged)[judged > 0].mean()) if judged.any() else 0.0
+
+    def _strange(self, fits: list[_Fit]) -> float:
+        """Return the share of what is new, in poses where a state is known, that all joints bring
+        back to where nothing was."""
+        strange = [np.zeros(1, np.bool_)]
+        for s, k in enumerate(self.diff.chosen - 1):
+            new, clear = Surface.bare(self.diff.targets.pose(s).points), list[Bools]()
+            for joint in (fit.joint for fit in fits if fit.known[k]):
+                back = new.moved(motions(joint, -joint.states)[k])
+                there = self.diff.first.met(back, still(1), 1.5 * self.diff.near)[0]
+                clear.append(self.sight[:1].free(back.points)[0] & ~there)
+            strange += [np.all(clear, axis=0)] if clear else []
+        return float(np.concatenate(strange).mean())
 
     def _fit(self, joint: Candidate, which: Ints) -> _Fit:
         near, part = self.diff.near, self.first[some(which, _CORE)]
@@ -164,16 +199,10 @@ class _Exact:
 
     def _fitted(self, fit: _Fit, part: Surface) -> Candidate:
         """Return the joint fitted to where its states are known."""
-        near = self.diff.near
-        where = Cells.of([self.new.pose(int(k)) for k in np.flatnonzero(fit.known)], near)
         joint = replace(fit.joint, states=fit.joint.states[fit.known])
-        for reach in (2.5, 1.5, 1.0, 1.0):
-            joint = fitted(joint, part, where, reach * near, 8)
-        if not joint.turns or np.abs(joint.axis).max() > BESIDE:
-            plain = fitted(joint.snapped(), part, where, near, 8, tilts=False)
-            hits = [int(where.met(part, motions(one), near).sum()) for one in (plain, joint)]
-            joint = plain if PLAIN * hits[0] >= hits[1] else joint
-        return joint
+        poses = [self.new.pose(int(k)) for k in np.flatnonzero(fit.known)]
+        plain = PLAIN if not joint.turns or np.abs(joint.axis).max() > BESIDE else 0.0
+        return refitted(joint, part, Cells.of(poses, self.diff.near), plain)
 
     def discovery(self, fits: list[_Fit], clouds: list[Floats], order: Ints) -> Discovery:
         """Return it in the clouds' frame and order."""
