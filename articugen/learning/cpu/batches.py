@@ -9,8 +9,9 @@ from articugen.learning.cpu.kernels import greatest
 
 
 def gather_points(points: Tensor, index: Tensor) -> Tensor:
-    """Return the points (B, k, C) at `index` (B, k) of `points` (B, n, C)."""
-    return points.gather(1, index[..., None].expand(-1, -1, points.shape[-1]))
+    """Return the points (B, ..., C) at `index` (B, ...) of `points` (B, n, C)."""
+    flat = index.flatten(1)[..., None].expand(-1, -1, points.shape[-1])
+    return points.gather(1, flat).unflatten(1, index.shape[1:])
 
 
 def spares(x: Tensor) -> bool:

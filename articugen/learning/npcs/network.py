@@ -71,12 +71,8 @@ class Abstraction(nn.Module):
         known of these (B, n, c)."""
         centres = gather_points(points, farthest(points, self.level.centres))
         near = within(centres, points, self.level.radius, self.level.neighbours)
-
-        def of_near(values: Tensor) -> Tensor:
-            return gather_points(values, near.flatten(1)).unflatten(1, near.shape[1:])
-
-        x = of_near(points) - centres[:, :, None]
-        x = x if features is None else torch.cat([x, of_near(features)], 3)
+        x = gather_points(points, near) - centres[:, :, None]
+        x = x if features is None else torch.cat([x, gather_points(features, near)], 3)
         return centres, self.layers(x).amax(2)
 
 
@@ -130,8 +126,7 @@ def interpolated(points: Tensor, centres: Tensor, features: Tensor) -> Tensor:
         far, near = _distance(points, centres).topk(few, largest=False)
         weight = 1.0 / far.square().clamp(min=1e-10)
         weight = weight / weight.sum(2, keepdim=True)
-    of_near = gather_points(features, near.flatten(1)).unflatten(1, near.shape[1:])
-    return (weight[..., None] * of_near).sum(2)
+    return (weight[..., None] * gather_points(features, near)).sum(2)
 
 
 def _distance(points: Tensor, others: Tensor) -> Tensor:

@@ -121,8 +121,7 @@ def nearest(points: Tensor, others: Tensor, count: int) -> Tensor:
     """Return (B, n, count), how far the nearest of others (B, m, 3) are from points (B, n, 3)."""
     with torch.no_grad():
         at = torch.cdist(points, others).topk(count, largest=False).indices
-    near = gather_points(others, at.flatten(1)).unflatten(1, at.shape[1:])
-    return (points[:, :, None] - near).norm(dim=3)
+    return (points[:, :, None] - gather_points(others, at)).norm(dim=3)
 
 
 def spread(shape: Tensor) -> Tensor:

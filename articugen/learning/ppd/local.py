@@ -68,7 +68,7 @@ class Around(nn.Module):
         for some, scale, layers, weight in zip(
             near.unbind(2), SCALES, self.near, self.weight, strict=True
         ):
-            points = gather_points(cloud, some.flatten(1)).view(B, m, NEIGHBOURS, -1)
+            points = gather_points(cloud, some)
             offset = ((points[..., :3] - places[:, :, None]) / scale).reshape(B * m, NEIGHBOURS, 3)
             far = torch.linalg.vector_norm(offset, dim=2, keepdim=True)
             where = at[:, None].expand(-1, NEIGHBOURS, -1)
