@@ -153,6 +153,8 @@ def test_what_is_never_seen_twice_is_refused() -> None:
         discover_views(clouds[:1], eyes[:1])
     with pytest.raises(InvalidArgument, match="leave out `normals`"):
         ag.discover(clouds, normals=clouds, cameras=eyes)
+    with pytest.raises(InvalidArgument, match=r"cameras of shape \(2, 2\) are no places"):
+        ag.discover(clouds, cameras=eyes[:, :2])
 
 
 def test_views_of_a_data_set_are_judged_by_its_truth(tmp_path: Path) -> None:

@@ -83,6 +83,7 @@ def discover(
             R), which stand for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
         normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
             where they are given.
+        cameras: (K, 3) where the one that saw each cloud was, instead of normals.
         joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
 
     Raises:
@@ -91,17 +92,17 @@ def discover(
     """
     if cameras is not None and normals is not None:
         raise InvalidArgument("cameras give normals of their own; leave out `normals`")
-    surfaces, kinds = (
-        with_normals(checked([_cloud(pose) for pose in poses]), normals),
-        _kinds(joints),
-    )
+    kinds = _kinds(joints)
+    surfaces = with_normals(checked([_cloud(pose) for pose in poses]), normals)
     R = frame_of_faces(surfaces) if surfaces else np.eye(3)
     turned = [surface.points @ R.T for surface in surfaces]
     if cameras is None:
         outward = None if normals is None else [surface.normals @ R.T for surface in surfaces]
         outcome = discovery.discover(turned, normals=outward, kinds=kinds)
     else:
-        outcome = discovery.discover_views(turned, np.asarray(cameras) @ R.T, kinds=kinds)
+        eyes = np.asarray(cameras, np.float64)
+        eyes = eyes @ R.T if eyes.shape[-1:] == (3,) else eyes  # or is refused
+        outcome = discovery.discover_views(turned, eyes, kinds=kinds)
     back = [replace(j, axis=j.axis @ R, pivot=j.pivot @ R) for j in outcome.joints]
     return replace(outcome, joints=tuple(back), points=surfaces[outcome.reference].points)
 
