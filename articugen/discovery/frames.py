@@ -14,8 +14,7 @@ _WAYS = fibonacci_sphere(2000)[:1000]  # a half of them: signs do not count
 _ALONG = np.cos(np.radians(6.0))  # normals so near to a direction have it
 _BESIDE = np.cos(np.radians(12.0))  # axes that lean so little stay where they are
 _LEAST, _MOST, _MORE = 200, 0.4, 1.5
-"""The least number of faces that lie along axes which are taken, their least share of all, and
-their least ratio to those along x, y and z."""
+"""The least number of faces along axes, share of all, and ratio to those along x, y and z."""
 
 
 def frame_of_faces(surfaces: Sequence[Surface]) -> Floats:
