@@ -179,15 +179,29 @@ class Manifest(Record):
         return Manifest(**values)
 
     @staticmethod
-    def of(outcomes: Iterable[Outcome], *, recipe: str, **others: Any) -> "Manifest":
-        """Return the manifest of a finished run: of these outcomes, made here and now by this code;
-        `others` are its category, source, licence, seed, timings and, perhaps, shortfall."""
+    def of(
+        outcomes: Iterable[Outcome],
+        *,
+        category: str,
+        source: str,
+        licence: str,
+        recipe: str,
+        seed: int,
+        timings: Timings,
+        shortfall: str | None = None,
+    ) -> "Manifest":
+        """Return the manifest of a finished run: of these outcomes, made here and now by this
+        code."""
         outcomes = sorted(outcomes, key=lambda o: (o.key.split, o.key.object_id))
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
+            category=category,
+            source=source,
+            licence=licence,
             recipe=recipe,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
+            seed=seed,
             articugen_version=code_version(),
             commit=this_commit(),
             versions=library_versions(),
@@ -196,7 +210,8 @@ class Manifest(Record):
             shards=tuple(sorted((o.shard for o in outcomes if o.shard), key=lambda s: s.name)),
             content_sha256=content_of(objects),
             **{kind: tuple(filter(None, map(attrgetter(kind), outcomes))) for kind in UNMADE},
-            **{"shortfall": None, **others},
+            shortfall=shortfall,
+            timings=timings,
         )
 
     @property

@@ -158,15 +158,23 @@ class Outcome(Record):
         return self
 
     @staticmethod
-    def of_shard(key: Key, record: ShardRecord, **others: Any) -> "Outcome":
-        """Return the outcome of an object whose instances, and only those, are in the shard
-        `record`; `others` are its entry's input_sha256 and, perhaps, notes and seconds."""
+    def of_shard(
+        key: Key,
+        record: ShardRecord,
+        *,
+        input_sha256: str,
+        notes: tuple[str, ...] = (),
+        seconds: float = 0.0,
+    ) -> "Outcome":
+        """Return the outcome of an object whose instances, and only those, are in a shard."""
         entry = ObjectEntry(
             key=key,
             shard=record.name,
             instances=record.instances,
             content_sha256=content_sha256(record.content),
-            **others,
+            input_sha256=input_sha256,
+            notes=notes,
+            seconds=seconds,
         )
         shard = ShardEntry.model_validate(record, from_attributes=True)
         return Outcome(made=entry, shard=shard)
