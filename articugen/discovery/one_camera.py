@@ -148,17 +148,16 @@ class _Exact:
         """Return the share of what has left that joints, where their states are known, move mostly
         to where nothing is, all of them."""
         part, at = self.diff.start[search.movers], self.diff.chosen - 1
-        known, lands, fails = np.zeros((3, *search.gone.shape), np.bool_)
+        known, lands = np.zeros((2, *search.gone.shape), np.bool_)
+        clear = ~known
         for fit in fits:
             M, knows = motions(fit.joint)[at], fit.known[at, None]
             there = self.diff.poses.met(part, M, 1.5 * self.diff.near)
             free = self.sight[self.diff.chosen].free(carried(M, part.points))
-            known, lands, fails = (
-                known | knows,
-                lands | knows & there,
-                fails | knows & ~(free & ~there),
-            )
-        against = (search.gone & known & ~fails).sum(0)
+            known |= knows
+            lands |= knows & there
+            clear &= ~knows | free & ~there
+        against = (search.gone & known & clear).sum(0)
         judged = against + (search.gone & lands).sum(0)
         return float((2 * against > judged)[judged > 0].mean()) if judged.any() else 0.0
 
