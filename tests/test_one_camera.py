@@ -106,26 +106,23 @@ def with_a_drawer(eyes: Floats, *, slides: bool) -> list[Floats]:
     """Views of a lid that turns and a drawer below it, which may slide, too."""
     rng, drawer = np.random.default_rng(0), ((0.4, 0.4, 0.3), (-0.18, 0.0, -0.05))
     slid = [transform(translation=(slides * (0.17 * k % 0.5), 0, 0)) for k in range(len(STATES))]
-    posed = zip(eyes, STATES, slid, strict=True)
+    posed = zip(eyes, STATES, slid, strict=False)
     return [seen(eye, HINGE(q), rng, LID, (drawer, T)) for eye, q, T in posed]
 
 
 def test_a_lid_alone_is_refused_where_a_drawer_slides_too() -> None:
-    eyes = around(len(STATES))
-    clouds = with_a_drawer(eyes, slides=True)[:4]
+    eyes = around(len(STATES))[:4]
+    clouds = with_a_drawer(eyes, slides=True)
     with pytest.raises(InvalidArgument, match="more moves than the joints that are found explain"):
-        discover_views(clouds, eyes[:4], kinds=[JointKind.REVOLUTE])
+        discover_views(clouds, eyes, kinds=[JointKind.REVOLUTE])
 
 
 @pytest.mark.parametrize("slides", [False, True])
 def test_what_the_true_hinge_leaves_unexplained_is_the_drawers(slides: bool) -> None:
     eyes, shares = around(len(STATES)), []
-    for first in (
-        0,
-        2,
-    ):  # where the drawer is shut, and what it shows elsewhere is new; and is open
+    clouds = with_a_drawer(eyes, slides=slides)
+    for first in (0, 2):  # the drawer is shut, and what it shows elsewhere is new; it is open
         order = np.roll(np.arange(len(STATES)), -first)
-        clouds = with_a_drawer(eyes, slides=slides)
         diff = change([clouds[k] for k in order], cameras=eyes[order])
         pivot, states = diff.frame.to_unit(np.array([-0.4, 0.0, 0.25])), STATES[order]
         hinge = Candidate(True, np.array([0.0, 1.0, 0.0]), pivot, states[1:] - states[0])
