@@ -8,11 +8,11 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.geometry import cross, fibonacci_sphere, norm
 from articugen.discovery.clouds import Cells, Surface, spacing_of
+from articugen.discovery.discover import BESIDE
 
 _POINTS = 4000  # of all clouds
 _WAYS = fibonacci_sphere(2000)[:1000]  # a half of them: signs do not count
 _ALONG = np.cos(np.radians(6.0))  # normals so near to a direction have it
-_BESIDE = np.cos(np.radians(12.0))  # axes that lean so little stay where they are
 _LEAST, _MOST, _MORE = 200, 0.4, 1.5
 """The least number of faces along axes, share of all, and ratio to those along x, y and z."""
 
@@ -29,7 +29,7 @@ def frame_of_faces(surfaces: Sequence[Surface]) -> Floats:
     third /= norm(third)
     axes = np.stack([first, cross(third, first), third])
     many, plain = ((np.abs(normals @ R).max(1) > _ALONG).sum() for R in (axes.T, np.eye(3)))
-    leans = np.abs(axes).max(1).min() < _BESIDE
+    leans = np.abs(axes).max(1).min() < BESIDE  # as joints that are taken for plain do not
     enough = max(_LEAST, _MOST * len(normals), _MORE * plain)
     return axes if leans and many > enough else np.eye(3)
 
