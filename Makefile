@@ -128,8 +128,8 @@ define compare
 @$(articugen) train-all "$(OUT)/$(CATEGORY)" --list $@ --budget "$(or $(BUDGET),10)" $(if $(SEEDS),--seeds "$(SEEDS)") $(if $(DEVICE),--device "$(DEVICE)")
 endef
 
-# A process a core, each of one thread: more threads only wait. What ARGS says counts (-n 0 --pdb).
-pytest := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n logical --maxprocesses 16 --dist worksteal
+# Processes of one thread each, as many as tests/conftest.py says. What ARGS says counts (-n 0 --pdb).
+pytest := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n auto --maxprocesses 16 --dist worksteal
 
 test: $(testing)  ## run the tests, the same each time; those of absent optional backends are skipped
 	@$(pytest) $(ARGS)

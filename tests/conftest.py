@@ -19,6 +19,8 @@ import pytest
 from browser import browser
 from hypothesis import settings
 
+from articugen.core.processes import default_jobs
+
 settings.register_profile("same", derandomize=True, database=None, deadline=None)
 # On a build server hypothesis is derandomised unless it is asked for chance.
 settings.register_profile(
@@ -42,6 +44,11 @@ def pytest_configure() -> None:
         roomy = memory.f_bavail * memory.f_frsize > 8 << 30
         if roomy and not memory.f_flag & os.ST_NOEXEC:  # tests write programs, too
             os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than cores: some tests wait, for a process that ends or a time that passes."""
+    return default_jobs() + 1
 
 
 def pytest_report_header() -> list[str]:

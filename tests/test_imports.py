@@ -2,7 +2,7 @@
 
 import ast
 import sys
-from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -95,6 +95,9 @@ FOREIGN: dict[str, set[str]] = {
 }
 """The modules that wrap a library; nobody else imports it."""
 
+COMPILED = {"kernel", "helper", "inlined"}
+"""The decorators of core/jit.py."""
+
 EVERYWHERE = {"numpy", "numba", "pydantic", "torch", "yaml"}
 
 
@@ -112,13 +115,18 @@ MODULES = _files()
 LINES = {name: len(path.read_bytes().splitlines()) for name, path in MODULES.items()}
 
 
-def _statements(module: str, *, at_start: bool = False) -> Iterator[ast.Import | ast.ImportFrom]:
+@cache
+def _tree(module: str) -> ast.Module:
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+
+
+@cache
+def _statements(module: str, *, at_start: bool = False) -> list[ast.Import | ast.ImportFrom]:
     """Its imports, wherever they stand; or those alone that run when it is imported itself."""
-    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
-    tried = [inner for node in tree.body if isinstance(node, ast.Try) for inner in node.body]
-    for node in [*tree.body, *tried] if at_start else ast.walk(tree):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield node
+    body = _tree(module).body
+    tried = [inner for node in body if isinstance(node, ast.Try) for inner in node.body]
+    nodes = [*body, *tried] if at_start else ast.walk(_tree(module))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
 def _imports(module: str, *, at_start: bool = False) -> set[str]:
@@ -222,6 +230,21 @@ def test_what_all_learners_share_knows_no_method() -> None:
         for method in methods:
             if not module.startswith(method):
                 assert not [n for n in OURS[module] if n.startswith(method)], module
+
+
+def test_no_constant_of_another_file_is_compiled_into_a_kernel() -> None:
+    """Numba would keep the old value: only the files of a kernel and of its helpers are watched."""
+    for module in MODULES:
+        named = {alias.asname or alias.name for node in _statements(module, at_start=True)
+                 if isinstance(node, ast.ImportFrom) for alias in node.names}  # fmt: skip
+        constants = {name for name in named if name.strip("_").isupper()}
+        for function in _tree(module).body:
+            if isinstance(function, ast.FunctionDef) and COMPILED & {
+                name.id for mark in function.decorator_list for name in ast.walk(mark)
+                if isinstance(name, ast.Name)
+            }:  # fmt: skip
+                used = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+                assert not used & constants, f"{module}.{function.name}"
 
 
 def test_evaluation_is_numpy_alone() -> None:

@@ -6,7 +6,7 @@ from articugen.core.arrays import Floats
 from articugen.core.geometry import apply
 from articugen.core.jit import ahead, cross, dot, helper, kernel, vector
 from articugen.pictures.camera import Camera
-from articugen.pictures.surfels import DIRECTIONS, TURNS, Surfels
+from articugen.pictures.surfels import Surfels, is_beyond
 
 MOST_AROUND = 15  # a pixel lies in a gap where so many of the 24 around it are nearer
 
@@ -86,7 +86,7 @@ def _splat(
                     if (
                         squared > within
                         or t > depth[row, column] + spacing[i]
-                        or _is_beyond(a, b, reach, i)
+                        or is_beyond(a, b, reach, i)
                     ):
                         continue
                     is_seen[i] = True
@@ -111,16 +111,6 @@ def _splat(
 def _along(basis, way):
     """Return how far the three vectors (3, 3) reach this way."""
     return dot(vector(basis, 0), way), dot(vector(basis, 1), way), dot(vector(basis, 2), way)
-
-
-@helper
-def _is_beyond(a, b, reach, i):
-    """Return whether a place `a` along a disc's `across` and `b` along the other axis is out of
-    reach."""
-    for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
-        if TURNS[k, 0] * a + TURNS[k, 1] * b > reach[i, k]:
-            return True
-    return False
 
 
 @helper

@@ -97,6 +97,16 @@ def _turned(T_part: Floats, vectors: Floats, part: Bytes) -> Floats:
     return np.einsum("nij,nj->ni", T_part[part, :3, :3], vectors)
 
 
+@helper
+def is_beyond(a, b, reach, i):
+    """Return whether a place `a` along a disc's `across` and `b` along the other axis is out of
+    reach."""
+    for k in range(DIRECTIONS):  # noqa: SIM110 (numba compiles no any)
+        if TURNS[k, 0] * a + TURNS[k, 1] * b > reach[i, k]:
+            return True
+    return False
+
+
 def surfels(samples: Sequence[OrientedPoints]) -> Surfels:
     """Discs for some samples of one surface, each uniform over as much of it as it covers."""
     spacing = float(np.median([sample.spacing() for sample in samples]))
