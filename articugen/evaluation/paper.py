@@ -30,14 +30,6 @@ METHODS = {
 }
 """By the names of methods here. The second BSP-Net is in Table 8 alone."""
 
-
-def row_of(method: str, parts: int) -> str:
-    """Return which of the paper's methods a run with this number of parts stands beside; "" for
-    none."""
-    name = "bsp8" if (method, parts) == ("bsp", 8) else method.removesuffix("_depth")
-    return name if name in METHODS else ""
-
-
 Numbers = dict[str, tuple[str, ...]]
 """By method, one for each category, and the mean."""
 

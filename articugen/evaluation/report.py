@@ -230,8 +230,10 @@ def _lines(results: Sequence[RunEvaluation]) -> list[Line]:
 
 
 def _row_of(line: Line) -> str:
-    """Return the paper's method that a line stands beside."""
-    return paper.row_of(line.run.method, len(line.runs[0].labels))
+    """Return the paper's method that a line stands beside; "" for none."""
+    is_small = (line.run.method, len(line.runs[0].labels)) == ("bsp", 8)
+    name = "bsp8" if is_small else line.run.method.removesuffix("_depth")
+    return name if name in paper.METHODS else ""
 
 
 def _overview(lines: Sequence[Line]) -> list[str]:
