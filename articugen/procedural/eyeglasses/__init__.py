@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from articugen.core.arrays import Bools, Floats
+from articugen.core.arrays import Floats
 from articugen.core.geometry import rotation_about, transform
 from articugen.core.portable import cos, norm, power, product, sin
 from articugen.procedural.eyeglasses.shape import Glasses, draw, elsewise
@@ -76,7 +76,7 @@ def _built(rng: np.random.Generator, shape: Glasses, *, upright: bool) -> Model:
     hinge_z = min(shape.hinge_z, highest - apart / 2)
     heights = {side: hinge_z - sign * apart / 2 for side, sign in _SIDES.items()}
     starts = {
-        side: _outer_point(shape, z) if end is None else np.array([*end[:2], z])
+        side: _at_edge(shape, z, 1.0) if end is None else np.array([*end[:2], z])
         for side, z in heights.items()
     }
     depth = _hinge_depth(shape, face, bare_temple, lean)
@@ -172,7 +172,7 @@ def _bridge(rng: np.random.Generator, s: Glasses) -> list[Solid]:
         heights = [rng.uniform(0.1, 0.2), rng.uniform(0.72, 0.85)]
     bars = []
     for k, height in enumerate(heights):
-        start = s.place(_inner_point(s, height * s.lens[:, 1].max()))
+        start = _at_edge(s, height * s.lens[:, 1].max(), -1.0)
         arch = 0.0 if k else rng.uniform(2.0, 6.0) * MM
         bars.append(_arch(s, start, arch, rng.uniform(0.0, 2.5) * MM))
     return bars
@@ -192,30 +192,19 @@ def _arch(s: Glasses, start: Floats, rise: float, forward: float) -> Solid:
     return sweep(path, section)
 
 
-def _inner_point(s: Glasses, z: float) -> Floats:
-    """Return the point (y, z) of the lens's edge that is nearest to the nose at height `z`."""
-    return _at_edge(s, s.lens[:, 0] < 0.0, z, 1.5 * s.wire)
-
-
-def _outer_point(s: Glasses, z: float) -> Floats:
-    """Return where the right end piece starts at a height: on the rim or, without one, a little
-    inside the lens."""
-    return s.place(_at_edge(s, s.lens[:, 0] > 0.0, z, -4 * MM))
-
-
-def _at_edge(s: Glasses, half: Bools, z: float, inside: float) -> Floats:
-    """Return the point (y, z) at height `z` of one half of the lens's edge, or `inside` it along y
-    where there is no rim."""
-    edge = s.lens[half]
+def _at_edge(s: Glasses, z: float, sign: float) -> Floats:
+    """Return the point (3,) of the lens's edge at height `z` that is nearest to the nose (-1), or
+    where the right end piece starts (1); without a rim it lies a little inside the lens."""
+    edge = s.lens[sign * s.lens[:, 0] > 0.0]
     edge = edge[np.argsort(edge[:, 1], kind="stable")]
+    inside = 1.5 * s.wire if sign < 0.0 else -4 * MM
     y = np.interp(z, edge[:, 1], edge[:, 0]) + (inside if s.style == "rimless" else 0.0)
-    return np.array([y, z])
+    return s.place(np.array([y, z]))
 
 
 def _nose_pads(rng: np.random.Generator, s: Glasses) -> list[Solid]:
     """Two pads on arms, or, on broad rims, two swellings of the rim."""
-    point = _inner_point(s, -0.25 * s.lens[:, 1].max())
-    start = s.place(point)
+    start = _at_edge(s, -0.25 * s.lens[:, 1].max(), -1.0)
     if s.style == "acetate":
         radii = (3.2 * MM, 5.2 * MM)
         outlines = [ellipse(f * radii[0], f * radii[1], 14) for f in (1.0, 0.85, 0.5)]
