@@ -114,15 +114,10 @@ def lathe(inner: ArrayLike, outer: ArrayLike, sides: int = 32) -> Solid:
     radius, height = profile[None, ..., 0], profile[None, ..., 1]
     x, y = (radius * f(angle)[:, None, None] for f in (cos, sin))
     vertices = np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1).reshape(-1, 3)
-    cells = []
-    for s in range(sides):
-        for i in range(k - 1):
-            # Corner (meridian, point, shell): 0 inner, 1 outer.
-            def at(m: int, p: int, shell: int, s: int = s, i: int = i) -> int:
-                return (((s + m) % sides) * k + i + p) * 2 + shell
-
-            near = (at(0, 0, 0), at(0, 0, 1), at(0, 1, 1), at(0, 1, 0))
-            far = (at(1, 0, 0), at(1, 0, 1), at(1, 1, 1), at(1, 1, 0))
+    cells, meridians = [], np.arange(len(vertices)).reshape(sides, k, 2).tolist()
+    for here, there in zip(meridians, [*meridians[1:], meridians[0]], strict=True):
+        for i in range(k - 1):  # of each point first the inner shell's vertex, then the outer's
+            near, far = ((*m[i], m[i + 1][1], m[i + 1][0]) for m in (here, there))
             around = zip((*near[1:], near[0]), near, far, (*far[1:], far[0]), strict=True)
             cells.append((near, far[::-1], *(tuple(face) for face in around)))
     solid = Solid(vertices, tuple(cells))
