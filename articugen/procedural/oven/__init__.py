@@ -7,7 +7,7 @@ edge, so it can swing by 135 degrees without meeting what is below.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -191,12 +191,7 @@ def _door(oven: Oven, rect: Rect, x: float) -> list[Solid]:
     corner = min(oven.radius, 0.2 * small)
     if oven.look in ("window", "wide"):
         share = 0.22 if oven.look == "window" else 0.11
-        hole = Rect(
-            rect.y0 + share * small,
-            rect.z0 + share * small,
-            rect.y1 - share * small,
-            rect.z1 - max(share, 0.2) * rect.height,
-        )
+        hole = replace(rect.shrunk(share * small), z1=rect.z1 - max(share, 0.2) * rect.height)
         leaf = frame(rect, hole, x, x + t, outer_radius=corner, inner_radius=0.1 * hole.height)
         return [leaf, plate(hole.shrunk(-0.001), x + 0.2 * t, x + 0.7 * t)]
     if oven.look == "porthole":
@@ -225,9 +220,8 @@ def _plug(rng: np.random.Generator, oven: Oven, door: Rect, opening: Rect) -> li
     top = float(np.sqrt((opening.z1 - z0 - GAP) ** 2 - reach**2)) + z0
     # The cavity's corners are round: stay clear of them.
     side = max(GAP, 0.3 * _CORNER * opening.height) + GAP
-    rect = Rect(
-        opening.y0 + side, opening.z0 + side, opening.y1 - side, min(top, opening.z1 - side)
-    )
+    rect = opening.shrunk(side)
+    rect = replace(rect, z1=min(top, rect.z1))
     hole = rect.shrunk(0.16 * rect.height)
     return [frame(rect, hole, -deep, GAP, inner_radius=0.05 * rect.height)]
 
@@ -245,15 +239,15 @@ class Pull:
 
     def on(self, rect: Rect, x: float = 0.0, hinge: str = "bottom") -> list[Solid]:
         """Near the edge away from the hinge of a door whose back is at `x`."""
-        if hinge != "bottom":
-            inset = max(0.07 * rect.width, 1.3 * self.girth)
+        upright, (y, z) = hinge != "bottom", rect.center
+        along, across = (rect.height, rect.width) if upright else (rect.width, rect.height)
+        inset = max(0.07 * across, 1.3 * self.girth)
+        if upright:
             y = rect.y1 - inset if hinge == "left" else rect.y0 + inset
-            length = self.share * rect.height
-            solids = handle(self.kind, length, self.reach, self.girth, upright=True)
-            return [s.shifted(x + 0.6 * self.face, y, rect.center[1]) for s in solids]
-        z = rect.z1 - max(0.07 * rect.height, 1.3 * self.girth)
-        solids = handle(self.kind, self.share * rect.width, self.reach, self.girth)
-        return [s.shifted(x + 0.6 * self.face, rect.center[0], z) for s in solids]
+        else:
+            z = rect.z1 - inset
+        solids = handle(self.kind, self.share * along, self.reach, self.girth, upright=upright)
+        return [s.shifted(x + 0.6 * self.face, y, z) for s in solids]
 
     def low(self, rect: Rect) -> list[Solid]:
         """On a drawer below the door, far enough down and short enough for the door to pass."""
