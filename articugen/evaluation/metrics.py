@@ -76,15 +76,11 @@ def assigned(gain: Floats) -> Ints:
 
 def label_iou(predicted: Ints, true: Ints) -> float:
     """Return the mean over the true parts present of |predicted and true| / |predicted or true|."""
-    costs = [
-        np.sum((predicted == k) & (true == k)) / np.sum((predicted == k) | (true == k))
-        for k in np.unique(true)
-    ]
-    return float(np.mean(costs))
+    return float(np.mean([occupancy_iou(predicted == k, true == k) for k in np.unique(true)]))
 
 
 def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:
-    """|predicted and true| / |predicted or true| of two grids; 1 where both are empty."""
+    """|predicted and true| / |predicted or true| of two masks; 1 where both are empty."""
     either = np.count_nonzero(predicted | true)
     return np.count_nonzero(predicted & true) / either if either else 1.0
 
