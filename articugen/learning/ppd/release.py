@@ -85,17 +85,11 @@ def evaluate(
 
 def as_points(shape: Reconstruction, count: int, rng: np.random.Generator) -> Reconstruction:
     """Return the same with `count` points instead of each part's surface, uniform by area."""
-    drawn = [
-        (i, points_on_triangles(shape.triangles[shape.part == i], count, rng=rng)[0])
-        for i in np.unique(shape.part).tolist()
-    ]
-    points = np.concatenate([np.zeros((0, 3)), *(points for _, points in drawn)])
-    return replace(
-        shape,
-        triangles=np.repeat(points[:, None], 3, axis=1),
-        part=np.repeat([i for i, _ in drawn], count).astype(np.int64),
-        labelling=None,
-    )
+    parts = np.unique(shape.part)
+    surfaces = (shape.triangles[shape.part == i] for i in parts)
+    drawn = [points_on_triangles(surface, count, rng=rng)[0] for surface in surfaces]
+    triangles = np.repeat(np.concatenate([np.zeros((0, 3)), *drawn])[:, None], 3, axis=1)
+    return replace(shape, triangles=triangles, part=np.repeat(parts, count), labelling=None)
 
 
 class _Tally(Tally):
