@@ -32,6 +32,7 @@ from articugen.inspection.report.page import Section, document, drawable, sectio
 from articugen.inspection.report.truth import Measured, measured
 from articugen.inspection.report.turnable import turnable
 from articugen.pictures.contact_sheet import portraits
+from articugen.pictures.layout import in_columns
 from articugen.pictures.shading import Picture
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.shards import open_shard
@@ -203,10 +204,7 @@ def _cameras(about: ObjectFacts) -> tuple[Picture, str] | None:
     if not maps or not any(depth.any() for depth in maps):
         return None
     tiles = [Image.fromarray(_grey(depth)).resize((DEPTH, DEPTH)) for depth in maps]
-    strip = Image.new("L", (len(tiles) * DEPTH, DEPTH))
-    for k, tile in enumerate(tiles):
-        strip.paste(tile, (k * DEPTH, 0))
-    return strip.convert("RGB"), f"{what} of state {row + 1}: what is nearer is brighter."
+    return in_columns(tiles, VIEWS), f"{what} of state {row + 1}: what is nearer is brighter."
 
 
 def _of_points(instance: Instance) -> list[Floats]:
