@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path
 
 from articugen.core.content import VERSION
-from articugen.core.errors import InvalidArgument
+from articugen.core.errors import InvalidArgument, printable
 from articugen.core.files import check_place, write_atomically
 from articugen.inspection.likeness import farthest, likeness
 from articugen.inspection.report import sections
@@ -70,15 +70,14 @@ def write_report(
     drawn = portraits(shown, states=states, pooling=POOLED, size=PICTURE)
     pictures = {one.chosen.object_id: list(map(address, one.pictures)) for one in drawn}
     turned = turnable(about.objects)
-    still = pictures.get(turned.object_id, [""])[0] if turned else ""
+    stills = {printable(name): some[0] for name, some in pictures.items()}
     parts = sections_of(about, manifest, measured(about.objects, manifest), alike)
     parts[1:1] = [
-        ("turn", "Turn it", sections.turning(turned, still)),
+        ("turn", "Turn it", sections.turning(turned, stills)),
         ("sheet", "Contact sheet", sections.sheet(drawn, pictures, about)),
     ]
     title, head = f"{category}: report of a data set", sections.header(path, about, manifest)
-    scene = turned.scene if turned else None
-    data = document(title, head, parts, "what the data set holds", scene=scene).encode()
+    data = document(title, head, parts, "what the data set holds", scene=turned).encode()
     write_atomically(html, data)
     return len(data)
 

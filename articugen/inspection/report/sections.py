@@ -18,7 +18,6 @@ from articugen.inspection.report.markup import (  # isort: skip
     MOST_ROWS, SPACE, Markup, card, dot, el, folded, hint, histogram, join, keys, share_bar, table,
 )  # fmt: skip
 from articugen.inspection.report.truth import Measured
-from articugen.inspection.report.turnable import Turnable
 from articugen.pictures.contact_sheet import Portraits
 from articugen.store.manifest import Manifest
 
@@ -63,11 +62,11 @@ def overview(facts: Facts, manifest: Manifest | None) -> Markup:
     )  # fmt: skip
 
 
-def turning(shown: Turnable | None, still: str) -> Markup:
-    """Return the card that viewer.js fills."""
+def turning(shown: Mapping[str, Any] | None, stills: Mapping[str, str]) -> Markup:
+    """Return the card that viewer.js fills, for now with one of the `stills`, by names."""
     if shown is None:
         return hint("No surface points are stored, so there is nothing to turn.")
-    alt = f"{shown.object_id} in its canonical pose"
+    still, alt = stills.get(shown["name"]), f"{shown['name']} in its canonical pose"
     image = el("img", src=still, alt=alt) if still else None
     return join(
         hint("The surface of each part, from its stored points alone; parts move rigidly about "

@@ -168,8 +168,7 @@ def _page(category: str, about: ObjectFacts, manifest: Manifest | None) -> _Page
 
     truth = measured([about], manifest)
     lines = sections.one_object(about, manifest, truth)
-    turned = turnable([about])
-    scene = turned.scene if turned else {"name": printable(about.object_id), "split": about.split}
+    scene = turnable([about]) or {"name": printable(about.object_id), "split": about.split}
     cameras = _cameras(about)
     views = {"image": named(webp(cameras[0]), "webp"), "text": cameras[1]} if cameras else None
     page = {**scene, "lines": [list(map(printable, line)) for line in lines], "views": views}

@@ -7,7 +7,6 @@ packed as differences of whole numbers, byte by byte, which gzip makes a fifth o
 import base64
 import gzip
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,9 @@ SPARSE = 1.3  # a voxel is no smaller than this many spacings of the points
 FEWEST = 50  # points that a part needs to be drawn
 
 
-@dataclass(frozen=True, eq=False)
-class Turnable:
-    """An object as a `scene`: what viewer.js reads, ready for JSON."""
-
-    object_id: str
-    scene: dict[str, Any]
-
-
-def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
-    """Show the first object of those with the most joints; None where no surface is stored."""
+def turnable(objects: Sequence[ObjectFacts]) -> dict[str, Any] | None:
+    """Return the first object of those with the most joints as viewer.js reads it, ready for JSON;
+    None where no surface is stored."""
     shown = [one for one in objects if one.points >= FEWEST]
     if not shown:
         return None
@@ -56,7 +48,7 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
     far = np.array([max(joint.lower, joint.upper, key=abs) for joint in chosen.joints])
     states = np.array([[one.states[n] for one in chosen.joints] for n in range(len(chosen.rows))])
     nearest = int(np.abs(states / np.where(far, far, 1.0) - AJAR).sum(axis=1).argmin())
-    scene = {
+    return {
         "name": printable(chosen.object_id),
         "split": printable(chosen.split),
         "middle": middle.tolist(),
@@ -86,7 +78,6 @@ def turnable(objects: Sequence[ObjectFacts]) -> Turnable | None:
         ],
         "meshes": packed(parts),
     }
-    return Turnable(chosen.object_id, scene)
 
 
 def _slider(joint: JointStates, j: int, start: int) -> dict[str, Any]:
