@@ -105,19 +105,13 @@ def _decal(triangle: Floats, size: float, lift: float) -> Solid:
     return Solid(np.concatenate([corners, corners + up]), (faces,), sheet)
 
 
-def meshes(
-    link: ModelLink, sheets: list[bool], object_id: str, level: int
-) -> Iterator[tuple[str, _Mesh]]:
-    """Yield a name and a mesh, in the object's frame at q = 0, for each piece of a link.
-
-    Args:
-        sheets: which of its solids are written as sheets.
-        level: 1 or 2, see above.
-    """
-    cells = _Cells.of(s for s, as_sheet in zip(link.solids, sheets, strict=True) if not as_sheet)
+def meshes(link: ModelLink, object_id: str, level: int) -> Iterator[tuple[str, _Mesh]]:
+    """Yield a name and a mesh, in the object's frame at q = 0, for each piece of a link, whose
+    solids are written as their sheets where they have such; `level` 1 or 2, see above."""
+    cells = _Cells.of(s for s in link.solids if s.sheet is None)
     rough = _Rough(generator(0, object_id, link.name, "rough"), cells)
-    for k, (solid, as_sheet) in enumerate(zip(link.solids, sheets, strict=True)):
-        if as_sheet and solid.sheet is not None:
+    for k, solid in enumerate(link.solids):
+        if solid.sheet is not None:
             vertices = solid.sheet.drawn.reshape(-1, 3)
             pieces = [(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))]
         else:

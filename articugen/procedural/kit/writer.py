@@ -18,6 +18,7 @@ middle, which has no thickness at all: `thickness` is then that of the panel it 
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +47,10 @@ def model_files(model: Model, *, object_id: str, messy: int = 0) -> dict[str, by
     """
     contents: dict[str, str] = {}
     visuals: dict[str, list[str]] = {}
-    for link, sheets, T_link_object in _posed(model, object_id, messy):
+    for link, T_link_object in _posed(model, object_id, messy):
         if messy:  # The meshes stay in the object's frame: each visual's origin moves them.
             T = transform(_turn(messy).T)
-            pieces = rough.meshes(link, sheets, object_id, messy)
+            pieces = rough.meshes(link, object_id, messy)
             meshes = {f"{name}.obj": obj_text([(apply(T, v), f)]) for name, (v, f) in pieces}
         else:
             pieces = [(s.moved(T_link_object).vertices, s.faces) for s in link.solids]
@@ -87,8 +88,7 @@ def write_model(
 
 def truth_file(model: Model, *, object_id: str, category: str, messy: int = 0) -> bytes:
     """Return what `solids.json` holds."""
-    posed = _posed(model, object_id, messy)
-    truth = {link.name: _link_truth(link, sheets, T) for link, sheets, T in posed}
+    truth = {link.name: _link_truth(link, T) for link, T in _posed(model, object_id, messy)}
     header = {"object_id": object_id, "category": category, "messy": messy > 0, "links": truth}
     return f"{json.dumps(header, separators=(',', ':'))}\n".encode()
 
@@ -98,27 +98,26 @@ def _turn(messy: int) -> Floats:
     return rotation_from_rpy(_YUP_RPY).round() if messy else np.eye(3)
 
 
-def _posed(
-    model: Model, object_id: str, messy: int
-) -> Iterator[tuple[ModelLink, list[bool], Floats]]:
-    """Yield the links, which of their solids are sheets, and T_link_object."""
+def _posed(model: Model, object_id: str, messy: int) -> Iterator[tuple[ModelLink, Floats]]:
+    """Yield the links, whose solids have the sheets that are written, and T_link_object."""
     if messy == rough.ROUGH:
         model = rough.decorated(model, object_id)
     pivot = {joint.child: np.asarray(joint.origin, np.float64) for joint in model.joints}
     limit = rough.SHEET_LIMIT * float(np.max(model.bounds[1] - model.bounds[0]))
     for link in model.links:
-        sheets = [
-            messy > 0 and s.sheet is not None and s.sheet.thickness <= limit for s in link.solids
-        ]
+        solids = tuple(
+            s if not s.sheet or (messy and s.sheet.thickness <= limit) else replace(s, sheet=None)
+            for s in link.solids
+        )
         at = pivot.get(link.name, np.zeros(3))
-        yield link, sheets, invert_rigid(transform(_turn(messy), at))
+        yield replace(link, solids=solids), invert_rigid(transform(_turn(messy), at))
 
 
-def _link_truth(link: ModelLink, sheets: list[bool], T_link_object: Floats) -> dict[str, list]:
+def _link_truth(link: ModelLink, T_link_object: Floats) -> dict[str, list]:
     cells, slabs = [], []
-    for solid, as_sheet in zip(link.solids, sheets, strict=True):
+    for solid in link.solids:
         here = solid.moved(T_link_object)
-        if as_sheet and here.sheet is not None:
+        if here.sheet is not None:
             thickness = round(here.sheet.thickness, 12)
             triangles = _rounded(here.sheet.triangles)
             backed = here.sheet.seen != 0
