@@ -5,12 +5,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import count
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from articugen.core.errors import ArticugenError
 from articugen.core.ledger import Ledger
 from articugen.store.bucket import Bucket
-from articugen.store.outcome import Key, Outcome, Sha256
+from articugen.store.outcome import Key, Outcome, Record, Sha256
 
 OF_JOB = ("source", "category", "seed", "ids", "exclude", "joints")
 """What a `CommonPlan` takes from a job as it is."""
@@ -21,7 +21,7 @@ Name = tuple[str, str]
 """(split, object_id)."""
 
 
-class CommonPlan(BaseModel):
+class CommonPlan(Record):
     """Plan of a place; processes that share out the objects are all asked for the same.
 
     Attributes:
@@ -31,8 +31,6 @@ class CommonPlan(BaseModel):
         command: that makes all of it, for people.
         shares: how many the process that wrote it was one of; 0 where it was alone.
     """
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     source: str
     category: str
