@@ -121,10 +121,11 @@ def record_in(ledger: Ledger, outcome: Outcome) -> None:
     ledger.record(key_of(outcome.key.name), outcome.model_dump_json().encode())
 
 
-def recorded(ledger: Ledger, bucket: Bucket, key: Key) -> Outcome | None:
+def recorded(ledger: Ledger, key: Key) -> Outcome | None:
     """Return what another process has just recorded of an object in a store; None where that is not
     of the same object, made in the same way, and there."""
-    name = key_of(key.name)
+    name, bucket = key_of(key.name), ledger.place
+    assert isinstance(bucket, Bucket)
     try:
         outcome = Outcome.model_validate_json(ledger.known([name]).get(name, b""))
     except ValidationError:

@@ -26,7 +26,6 @@ from articugen.pipeline.common import (
     differences,
     key_of,
     record_in,
-    recorded,
     shard_names,
     with_free_names,
 )
@@ -258,12 +257,6 @@ class Records(AbstractContextManager["Records"]):
         if outcome.shard is not None:
             self._recorded.add(outcome.shard.name)
             self._trusted[outcome.shard.name] = outcome.shard, True
-
-    def recorded(self, key: Key) -> Outcome | None:
-        """Return what another process has recorded of an object; None where its shard is not
-        there."""
-        assert isinstance(self.place, Bucket)
-        return recorded(self.ledger, self.place, key)
 
     def check_there(self, outcomes: Sequence[Outcome]) -> None:
         """Raise ArticugenError if shards of these outcomes were removed or replaced meanwhile,

@@ -19,7 +19,7 @@ from uuid import uuid4
 from articugen.core.errors import ArticugenError, MachineFault
 from articugen.core.files import megabytes, room_at
 from articugen.core.recipe import Recipe
-from articugen.pipeline.common import NEVER_MADE, OF_JOB, CommonPlan, key_of, listing_of
+from articugen.pipeline.common import NEVER_MADE, OF_JOB, CommonPlan, key_of, listing_of, recorded
 from articugen.pipeline.executors.work import Executor, Work
 from articugen.pipeline.job import Job
 from articugen.pipeline.making import Task, limit_of, not_made
@@ -205,9 +205,9 @@ class Run:
                     is_said = True
                     on_notice(f"other processes are at {len(waiting)} of the objects; waiting")
                 time.sleep(POLL_SECONDS if waiting else 0.0)
-                recorded = [self.records.recorded(task.key) for task in waiting]
-                yield from ((outcome, True) for outcome in recorded if outcome)
-                left = [t for t, done in zip(waiting, recorded, strict=True) if done is None]
+                outcomes = [recorded(self.records.ledger, task.key) for task in waiting]
+                yield from ((outcome, True) for outcome in outcomes if outcome)
+                left = [t for t, done in zip(waiting, outcomes, strict=True) if done is None]
                 todo = [t for t in left if self.records.ledger.is_free(key_of(t.key.name))]
                 waiting = [task for task in left if task not in todo]
         finally:

@@ -54,7 +54,7 @@ class Work:
         if not ledger.claim(name):
             return None
         try:
-            outcome = recorded(ledger, bucket, task.key)  # another was at it until now
+            outcome = recorded(ledger, task.key)  # another was at it until now
             if outcome is None:
                 outcome = task.known or make_object(self.job, aside, task, self.check)
                 if outcome.shard:
