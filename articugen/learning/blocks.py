@@ -150,10 +150,7 @@ class _Few(NamedTuple):
 
     def joined(self, layer: nn.Module) -> "_Few":
         """After a layer of `GridEncoder`."""
-        features, others = (
-            leaky_relu(layer(self.features), 0.1),
-            leaky_relu(layer(self.others), 0.1),
-        )
+        features, others = (leaky_relu(layer(x), 0.1) for x in (self.features, self.others))
         return _Few(self.place, features, others)
 
     def merged(self, cells: int) -> "_Few":
