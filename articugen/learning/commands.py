@@ -432,10 +432,9 @@ def newest(run: FolderLike) -> Path:
     if (run / "run.json").is_file():
         return run
     numbered = [p for p in run.glob("*") if p.name.isdecimal() and (p / "run.json").is_file()]
-    numbered.sort(key=lambda p: int(p.name))
     if not numbered:
         raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
-    return numbered[-1]
+    return max(numbered, key=lambda p: int(p.name))
 
 
 def prepare(device: str = "cpu", threads: int = 0) -> None:
