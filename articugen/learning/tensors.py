@@ -1,7 +1,8 @@
 """Tensors in sealed files, and networks whose weights a seed decides."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +22,26 @@ def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
 
 def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
     """Read as `read_arrays` does."""
-    return _in_torch(read_arrays(path, wanted))
+    return changed(read_arrays(path, wanted), np.ndarray, lambda x: torch.from_numpy(x.copy()))
 
 
 def in_numpy(data: Any) -> Any:
     """Return nested dicts with arrays where there were tensors."""
-    if isinstance(data, dict):
-        return {key: in_numpy(value) for key, value in data.items()}
-    return data.detach().cpu().numpy() if isinstance(data, Tensor) else data
+    return changed(data, Tensor, lambda tensor: tensor.detach().cpu().numpy())
 
 
-def _in_torch(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _in_torch(value) for key, value in data.items()}
-    return torch.from_numpy(data.copy()) if isinstance(data, np.ndarray) else data
+def changed(value: Any, kind: type, change: Callable[[Any], Any]) -> Any:
+    """Return the same with everything of a kind in it changed: in tuples, dicts and records."""
+    if isinstance(value, kind):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(changed(item, kind, change) for item in value)
+    if isinstance(value, dict):
+        return {key: changed(item, kind, change) for key, item in value.items()}
+    if is_dataclass(value):
+        some = {f.name: changed(getattr(value, f.name), kind, change) for f in fields(value)}
+        return replace(value, **some)  # pyright: ignore[reportArgumentType]
+    return value
 
 
 def check_like(actual: Any, wanted: Any, path: Path, name: str = "") -> None:

@@ -5,7 +5,7 @@ worker process is needed, and a batch depends on nothing but its generator and i
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from articugen.learning.data.cells import (
 )
 from articugen.learning.data.fitness import check_fixed_part, check_shard
 from articugen.learning.data.groups import found_objects
+from articugen.learning.tensors import changed
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
@@ -78,7 +79,7 @@ class PackedSplit:
     def bytes(self) -> int:
         """Return the size of the tensors."""
         sizes = []
-        _changed(self, lambda tensor: sizes.append(tensor.nbytes) or tensor)
+        changed(self, Tensor, lambda tensor: sizes.append(tensor.nbytes) or tensor)
         return sum(sizes)
 
     def poses_of(self, name: str) -> NDArray[np.intp]:
@@ -91,7 +92,7 @@ class PackedSplit:
         """Return the instances of these objects alone."""
         rows = np.flatnonzero(np.isin(self.object_id, list(objects)))
         at = torch.from_numpy(rows)
-        some = _changed(self, lambda tensor: tensor[at])
+        some = changed(self, Tensor, lambda tensor: tensor[at])
         return replace(some, object_id=self.object_id[rows], state_index=self.state_index[rows])
 
     def for_batches(self, spec: BatchSpec) -> "PackedSplit":
@@ -101,7 +102,7 @@ class PackedSplit:
 
     def to(self, device: torch.device) -> "PackedSplit":
         """Return the same in the memory of a device."""
-        return _changed(self, lambda tensor: tensor.to(device))
+        return changed(self, Tensor, lambda tensor: tensor.to(device))
 
     def batch(
         self, rows: Sequence[int], spec: BatchSpec, resolution: int, rng: torch.Generator | None
@@ -168,20 +169,6 @@ def at_rest(points: Tensor, part: Tensor, motion: Tensor) -> Tensor:
     each part has moved since."""
     T = motion[torch.arange(len(part), device=part.device)[:, None], part.long()]
     return ((points - T[..., :3, 3])[..., None, :] @ T[..., :3, :3])[..., 0, :]
-
-
-def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
-    """Return the same with every tensor in it changed."""
-    if isinstance(value, Tensor):
-        return change(value)
-    if isinstance(value, tuple):
-        return tuple(_changed(item, change) for item in value)
-    if isinstance(value, dict):
-        return {key: _changed(item, change) for key, item in value.items()}
-    if is_dataclass(value):
-        names = [field.name for field in fields(value)]
-        return replace(value, **{n: _changed(getattr(value, n), change) for n in names})  # pyright: ignore[reportArgumentType]
-    return value
 
 
 def _places(at: Tensor, n: int, count: int, rng: torch.Generator | None) -> Tensor:
