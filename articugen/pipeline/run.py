@@ -89,10 +89,8 @@ class Run:
 
     def check_replaces(self, *, replace: bool, cure: str) -> None:
         """Raise ArticugenError where data of another run would be replaced and nobody asked for
-        that; `cure` is what to add."""
-        if self.plan.conflict and self.job.is_shared:
-            raise ArticugenError(self.plan.conflict)
-        if self.plan.conflict and not replace:
+        that; `cure` is what to add. Processes that share out objects `finish` refuses anyway."""
+        if self.plan.conflict and not (replace or self.job.is_shared):
             raise ArticugenError(f"{self.plan.conflict}, or {cure}")
 
     def finish(
