@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from articugen.core.geometry import apply
 from articugen.core.near import by_cell, nearest_within
 from articugen.core.recipe import Recipe
-from articugen.core.records import Floats, dequantize, is_material
+from articugen.core.records import Views, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.verify.bounds import TOLERANCES
 
@@ -57,23 +56,16 @@ def images(row: Instance, recipe: Recipe) -> Iterator[str]:
             yield f"image_{name} and image_{first} show something at different pixels"
     if row.image_depth is None:
         return
-    half = 0.5 * (1.0 - recipe.padding) + recipe.fusion.sheet_thickness
-    for view in range(len(row.image_depth)):
-        beyond = np.abs(_seen_by(row, view)).max(axis=1, initial=0.0) - half
-        if TOLERANCES["image"].exceeded_by(beyond).any():
-            yield f"image_depth of camera {view} shows points outside of the object's box"
-
-
-def _seen_by(row: Instance, view: int) -> Floats:
-    """Return (n, 3) the points that an image's depths show, unit frame."""
-    assert row.image_depth is not None
     assert row.image_intrinsics is not None
     assert row.image_T_camera_world is not None
-    i, j = np.nonzero(row.image_depth[view])
-    z = row.image_depth[view][i, j].astype(np.float64)
-    fx, fy, cx, cy = row.image_intrinsics[view]
-    points = np.stack([(j + 0.5 - cx) / fx * z, (i + 0.5 - cy) / fy * z, z], axis=1)
-    return apply(np.linalg.inv(row.image_T_camera_world[view]), points)
+    sizes = row.image_depth.shape[2:0:-1]
+    cameras = Views("pinhole", row.image_T_camera_world, *row.image_intrinsics.T, *sizes)
+    half = 0.5 * (1.0 - recipe.padding) + recipe.fusion.sheet_thickness
+    for view, depth in enumerate(row.image_depth):
+        i, j = np.nonzero(depth)
+        beyond = np.abs(cameras.points(view, i, j, depth[i, j].astype(np.float64))) - half
+        if TOLERANCES["image"].exceeded_by(beyond).any():
+            yield f"image_depth of camera {view} shows points outside of the object's box"
 
 
 CHECKS: dict[str, Callable[[Instance, Recipe], Iterator[str]]] = {
