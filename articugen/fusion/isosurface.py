@@ -82,10 +82,8 @@ def _beside_a_change(inside: Bools) -> Bools:
     padded = np.pad(inside, 1)
     beside = np.zeros_like(padded)
     for axis in range(3):
-        change = np.diff(padded, axis=axis)
-        low = [slice(None)] * 3
-        high = [slice(None)] * 3
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        beside[tuple(low)] |= change
-        beside[tuple(high)] |= change
+        change = np.moveaxis(np.diff(padded, axis=axis), axis, 0)
+        layers = np.moveaxis(beside, axis, 0)
+        layers[:-1] |= change
+        layers[1:] |= change
     return beside[1:-1, 1:-1, 1:-1]
