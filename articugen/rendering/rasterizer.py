@@ -130,15 +130,15 @@ def _draw(
             drawn[k, 0], drawn[k, 1], drawn[k, 2], drawn[k, 3] = box
             _copy(below[k], view, box)
             if pinhole:
-                _to_key(view, box)
+                _invert(view, box)
         else:
-            view[:] = np.float32(0.0) if pinhole else np.float32(np.inf)
+            view[:] = np.float32(-0.0) if pinhole else np.float32(np.inf)
         count = _around_a_centre(faces, centres, kept)
         _draw_view(
             kept, count, faces, closed, vertices, camera, pinhole, u, v, view, face[k], first_face
         )
         if pinhole and not over:
-            _from_key(view)
+            _invert(view, (0, height, 0, width))
     return True
 
 
@@ -238,20 +238,13 @@ def _on_image(p, camera, pinhole):
 
 
 @helper
-def _to_key(depth, rectangle):
-    """Turn pinhole depths into keys within the rows and columns of `rectangle`, ends excluded."""
+def _invert(depth, rectangle):
+    """Turn pinhole depths into keys, or keys into depths, within the rows and columns of
+    `rectangle`, ends excluded. The key of nothing, which is at inf, is -0."""
     top, bottom, left, right = rectangle
     for i in range(top, bottom):
         for j in range(left, right):
             depth[i, j] = np.float32(-1.0) / depth[i, j]
-
-
-@helper
-def _from_key(depth):
-    for i in range(depth.shape[0]):
-        for j in range(depth.shape[1]):
-            key = depth[i, j]
-            depth[i, j] = -1.0 / key if key < 0.0 else np.inf
 
 
 @helper
