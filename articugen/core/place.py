@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -166,18 +167,14 @@ class Folder:
 
     def delete(self, names: Iterable[str]) -> None:
         folders: set[Path] = set()
-        before: Path | None = None
         with writing(self.path):
-            for name in names:
-                path = self._path(name)
-                if before not in (None, path.parent):
-                    _sync_if_there(before)
-                before = path.parent
+            for folder, paths in groupby(map(self._path, names), lambda path: path.parent):
+                for path in paths:
+                    with suppress(FileNotFoundError, NotADirectoryError):
+                        path.unlink()
+                folders.update(p for p in (folder, *folder.parents) if self.path in p.parents)
                 with suppress(FileNotFoundError, NotADirectoryError):
-                    path.unlink()
-                folders.update(p for p in path.parents if self.path in p.parents)
-            if before is not None:
-                _sync_if_there(before)
+                    sync(folder)
             for folder in sorted(folders, reverse=True):
                 with suppress(OSError):  # others have files in it
                     folder.rmdir()
@@ -203,11 +200,6 @@ class Folder:
         if "\0" in last or not last.strip("."):
             raise UnfitFile(errno.EINVAL, f"{name!r} is no name of a file in it")
         return (within(self.path, above) if above else self.path) / last
-
-
-def _sync_if_there(folder: Path) -> None:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        sync(folder)
 
 
 def _write_exclusively(path: Path, data: bytes) -> None:
