@@ -192,12 +192,9 @@ def solidified(
     is_seen = (share[0] > 0.0) | (shown[0] > 0) | (((share[1] > 0.0) | (shown[1] > 0)) & ~solid)
     kept = LabelledMesh(mesh.vertices, faces[~sheet], mesh.part_of_face[~sheet])
     slabs, of_sheet = _slabs(mesh.vertices, faces[sheet], mesh.part_of_face[sheet], thickness)
-    vertices = np.concatenate([kept.vertices, slabs.vertices])
-    all_faces = np.concatenate([kept.faces, slabs.faces + len(kept.vertices)])
-    parts = np.concatenate([kept.part_of_face, slabs.part_of_face])
     is_seen = np.concatenate([is_seen[~sheet], np.ones(len(slabs.faces), np.bool_)])
     origin = np.concatenate([np.flatnonzero(~sheet), np.flatnonzero(sheet)[of_sheet]])
-    return LabelledMesh(vertices, all_faces, parts), is_seen, origin
+    return LabelledMesh.joined([kept, slabs]), is_seen, origin
 
 
 def _slabs(
@@ -267,7 +264,8 @@ def _mitres(corners: Floats, normals: Floats, pairs: Indices) -> Floats:
     sides = np.roll(corners, -1, axis=1) - corners
     back = -np.roll(sides, 1, axis=1)
     angle = arctan2(norm(cross(sides, back)), dot(sides, back))
-    group, side = _groups(len(normals), pairs, normals)
+    alike = dot(normals[pairs[:, 0]], normals[pairs[:, 2]])
+    group, side = _groups(len(normals), pairs, alike)
     normal = np.repeat(normals, 3, axis=0)
     mean = np.zeros((3 * len(normals), 3))
     np.add.at(mean, group, (side * angle.reshape(-1))[:, None] * normal)
@@ -280,21 +278,16 @@ def _mitres(corners: Floats, normals: Floats, pairs: Indices) -> Floats:
 
 
 @kernel
-def _groups(count, pairs, normals):
-    """Find for each corner the first one joined to it, and its side: -1 if wound otherwise."""
+def _groups(count, pairs, alike):
+    """Find for each corner the first one joined to it, and its side: -1 if wound otherwise; faces
+    of a pair are wound otherwise where the cosine of their normals, `alike`, is negative."""
     parent = np.empty(3 * count, np.int64)
     side = np.empty(3 * count)
     for c in range(3 * count):
         parent[c], side[c] = c, 1.0
     for n in range(pairs.shape[0]):
         f, e, g, d = pairs[n, 0], pairs[n, 1], pairs[n, 2], pairs[n, 3]
-        turn = 1.0
-        if (
-            normals[f, 0] * normals[g, 0]
-            + normals[f, 1] * normals[g, 1]
-            + normals[f, 2] * normals[g, 2]
-        ) < 0.0:
-            turn = -1.0
+        turn = -1.0 if alike[n] < 0.0 else 1.0
         # edges of faces wound alike run against each other
         first, last = (d, (d + 1) % 3) if turn < 0.0 else ((d + 1) % 3, d)
         _join(parent, side, 3 * f + e, 3 * g + first, turn)
