@@ -8,8 +8,7 @@ import numpy as np
 from articugen import fusion
 from articugen.core.arrays import Bytes, Floats, Indices
 from articugen.core.colours import plain_colour
-from articugen.core.geometry import invert_rigid, nearest_weights
-from articugen.core.portable import turned
+from articugen.core.geometry import apply, invert_rigid, nearest_weights
 from articugen.core.records import ArticulatedObject, LabelledMesh, Link
 from articugen.core.texture import Texture
 
@@ -54,8 +53,7 @@ class Paint:
             return colours
         rows = np.flatnonzero(self.texture.which[face] >= 0)
         back = invert_rigid(part_motion)[part[rows]]
-        still = turned(back[:, :3, :3], points[rows]) + back[:, :3, 3]
-        weights = nearest_weights(self.corners[face[rows]], still)
+        weights = nearest_weights(self.corners[face[rows]], apply(back, points[rows]))
         colours[rows] = self.texture.colours(face[rows], weights)
         return colours
 

@@ -37,12 +37,9 @@ class SharpEdges:
 
     def moved(self, part_motion: Floats) -> "SharpEdges":
         """With each part moved by its own motion (P, 4, 4)."""
-        ends, normals = self.ends.copy(), self.normals.copy()
-        for part, T in enumerate(part_motion):
-            of_part = self.part == part
-            ends[of_part] = apply(T, ends[of_part])
-            normals[of_part] = turned(T[:3, :3], normals[of_part])
-        return SharpEdges(ends, normals, self.part)
+        T = part_motion[self.part]
+        normals = turned(T[:, :3, :3], self.normals)
+        return SharpEdges(apply(T[:, None], self.ends), normals, self.part)
 
 
 def sharp_edges(mesh: LabelledMesh, degrees: float) -> SharpEdges:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.colours import PALETTE
-from articugen.core.geometry import area_vectors
+from articugen.core.geometry import area_vectors, invert_rigid
 from articugen.core.portable import dot, norm, power, turned
 from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import rasterizer
@@ -58,12 +58,11 @@ def images(
         view, row, column = np.nonzero(hit)
         corners = mesh.vertices[mesh.faces[face]]
         across = area_vectors(corners)
-        R, t = views.T_camera_world[:, :3, :3], views.T_camera_world[:, :3, 3]
-        eyes = -np.stack([turned(rotation.T, at) for rotation, at in zip(R, t, strict=True)])
-        away = dot(across, eyes[view] - corners[:, 0]) < 0.0
+        T_world_camera = invert_rigid(views.T_camera_world)
+        away = dot(across, T_world_camera[view, :3, 3] - corners[:, 0]) < 0.0
         normals = np.where(away[:, None], -across, across) / norm(across)[:, None]
         out["normal"] = _filled(hit, np.round(127.0 * normals).astype(np.int8))
-        lamps = np.stack([turned(rotation.T, _LAMP) for rotation in R])
+        lamps = turned(T_world_camera[:, :3, :3], _LAMP)
         light = _SKY + _DIRECT * np.maximum(dot(normals, lamps[view]), 0.0)
         shown = PALETTE[part]
         if colours is not None:
