@@ -6,7 +6,7 @@ ranges. Everything after it sees joints that are 0 in the canonical pose. All fu
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Literal
 
@@ -77,24 +77,19 @@ def resolve(
     if settings.canonical == "source":
         settings = settings.model_copy(update={"canonical": canonical})
     patterns = tuple(settings.movable) or tuple(movable)
-    remarks: dict[str, list[str]] = defaultdict(list)
-    plans: dict[str, _Plan] = {}
-    for joint in obj.joints:
-        if joint.kind != JointKind.FIXED and joint.mimic is None:
-            plan = _plan_driver(obj, joint, patterns, settings)
-            plans[joint.name] = plan
-            for remark in plan.remarks:
-                remarks[remark].append(joint.name)
-    followers = [j for j in obj.joints if j.kind != JointKind.FIXED and j.mimic is not None]
+    moving = [joint for joint in obj.joints if joint.kind != JointKind.FIXED]
+    plans = {j.name: _plan_driver(obj, j, patterns, settings) for j in moving if j.mimic is None}
     by_name = {joint.name: joint for joint in obj.joints}
-    for joint in followers:
+    for joint in (joint for joint in moving if joint.mimic is not None):
         plans[joint.name] = _plan_follower(by_name, joint, plans)
-        if not plans[joint.name].moves:
-            remarks["locked, as the joints that drive them are"].append(joint.name)
+    remarks: dict[str, list[str]] = defaultdict(list)
+    for name, plan in plans.items():
+        for remark in plan.remarks:
+            remarks[remark].append(name)
     if not any(plan.moves for plan in plans.values()):
         raise NotOfCategory(_nothing_moves(obj, patterns))
     resolved = replace(
-        ResolvedObject(**{f.name: getattr(obj, f.name) for f in fields(ArticulatedObject)}),
+        ResolvedObject(**vars(obj)),
         joints=tuple(_planned(j, plans[j.name]) if j.name in plans else j for j in obj.joints),
         notes=obj.notes + tuple(f"{text}: {', '.join(names)}" for text, names in remarks.items()),
     )
@@ -289,7 +284,7 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
             "the multipliers and offsets of the <mimic> elements of its URDF"
         )
     if not plan.moves or multiplier == 0.0:
-        return _Plan(value)
+        return _Plan(value, remarks=("locked, as the joints that drive them are",))
     return _Plan(
         value,
         sign=float(np.sign(multiplier)) * plan.sign,
