@@ -280,15 +280,8 @@ class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
                 kind, value = f"was not ready after {LONGEST_START:g} s", None
                 if worker.pipe in spoken:
                     kind, value = worker.hear()
-                ended, lost = self._heard(worker, kind, value)
-                if ended:
+                if ended := self._heard(worker, kind, value, tasks):
                     yield ended
-                if lost:
-                    left = f"{self._width} worker{'s' if self._width > 1 else ''}"
-                    self.notice(
-                        f"a worker {lost} at {self.name(tasks[worker.number])}, which is tried "
-                        f"once more at the end; {left} from now on"
-                    )
             for worker, over in self._over_limit():
                 self._dismiss(worker)
                 yield Ended(worker.number, over=over)
@@ -342,19 +335,19 @@ class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
         self._at_work.append(worker)
         return True
 
-    def _heard(self, worker: _Worker, kind: str, value: Any) -> tuple[Ended[R] | None, str | None]:
-        """Return how its task ended, if it did, or what became of it if its task gets a try."""
+    def _heard(self, worker: _Worker, kind: str, value: Any, tasks: Sequence[T]) -> Ended[R] | None:
+        """Return how its task ended, if it did; say what became of it if its task gets a try."""
         if kind == _SAID:
             self.on_report(value)
         if kind in (_READY, _SAID):
-            return None, None
+            return None
         if kind == _RAISED:
             raise value
         if kind == _DONE:
             self._at_work.remove(worker)
             self._idle.append(worker)
             self._any_done = True
-            return Ended(worker.number, value=value), None
+            return Ended(worker.number, value=value)
         status = self._dismiss(worker)
         fate = _fate(status) if kind == _GONE else kind
         self._deaths += 1
@@ -364,12 +357,17 @@ class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
                 "other programs or raise the limits (ulimit)"
             )
         if worker.alone:
-            return Ended(worker.number, lost=fate), None
+            return Ended(worker.number, lost=fate)
         self._alone.append(worker.number)
         self._width = max(1, self._width - 1)
         while self._idle:  # what they hold on to may be what was missing
             self._idle.pop().end()
-        return None, fate
+        left = f"{self._width} worker{'s' if self._width > 1 else ''}"
+        self.notice(
+            f"a worker {fate} at {self.name(tasks[worker.number])}, which is tried once more at "
+            f"the end; {left} from now on"
+        )
+        return None
 
     def _over_limit(self) -> list[tuple[_Worker, str]]:
         now, most = self._clock(), 1e6 * self.limit.megabytes
