@@ -121,7 +121,9 @@ def _load_raw(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
         joints.append(_joint(dof, parent, center - parent_center, path))
         faces += len(links[-1].mesh.faces)
         check_size(folder, faces=faces)
-    notes = _unused_parts(folder, links)
+    used = {"none_motion", *(link.name for link in links)}
+    unused = sorted(p.name for p in ending_in(folder / "part_objs", ".obj") if p.stem not in used)
+    notes = (f"meshes without a joint, left out: {', '.join(unused)}",) if unused else ()
     return ref.object_of(settings, links, joints, files.sha256(), notes)
 
 
@@ -167,9 +169,3 @@ def _joint(dof: _Dof, parent: str, offset: Floats, path: Path) -> Joint:
         lower=-limit,
         upper=limit,
     )
-
-
-def _unused_parts(folder: Path, links: list[Link]) -> tuple[str, ...]:
-    used = {"none_motion", *(link.name for link in links)}
-    unused = sorted(p.name for p in ending_in(folder / "part_objs", ".obj") if p.stem not in used)
-    return (f"meshes without a joint, left out: {', '.join(unused)}",) if unused else ()
