@@ -98,12 +98,14 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
         return Report((Finding("manifest", str(error)), *_leftovers(folder)), 0, 0)
     findings = [*text_findings(folder, manifest), *_manifest_findings(manifest)]
     findings += [*_strays(folder, manifest), *_leftovers(folder)]
-    look = partial(_shard_findings, folder, _expected_attributes(manifest))
+    recipe = recipe_of(manifest.recipe)
+    about = {name: getattr(manifest, name) for name in ("category", "source", "licence", "seed")}
+    about |= {"recipe": recipe.for_one_object().text()} if recipe else {}
     contents: dict[str, list[ObjectEntry]] = {}
     for entry in manifest.objects:
         contents.setdefault(entry.shard, []).append(entry)
     looked = processes.in_order(
-        look,
+        partial(_shard_findings, folder, about),
         [(shard, contents[shard.name]) for shard in manifest.shards],
         workers=min(jobs, len(manifest.shards)) if jobs > 1 else 0,
         name=lambda task: task[0].name,
@@ -226,13 +228,6 @@ def recipe_of(text: str) -> Recipe | None:
     """Return the recipe of just this text; None where it is another's, or of another version."""
     recipe = Recipe.of_text(text)
     return recipe if recipe and recipe.text() == text else None
-
-
-def _expected_attributes(manifest: Manifest) -> dict[str, str | int]:
-    """Return the attributes of every shard by the manifest."""
-    recipe = recipe_of(manifest.recipe)
-    expected = {name: getattr(manifest, name) for name in ("category", "source", "licence", "seed")}
-    return expected | ({"recipe": recipe.for_one_object().text()} if recipe else {})
 
 
 def _shard_findings(
