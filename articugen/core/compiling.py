@@ -95,7 +95,11 @@ def two_views() -> Views:
 
 def _stamp(command: str) -> Path:
     """Return the file that is there once a command's kernels are compiled as they are now."""
-    known = [sys.version, version("numba"), *_processor()]
+    processor = {
+        "NUMBA_CPU_NAME": llvm.get_host_cpu_name(),
+        "NUMBA_CPU_FEATURES": llvm.get_host_cpu_features().flatten(),
+    }  # that numba compiles for, unless the environment names another
+    known = [sys.version, version("numba"), *(os.environ.get(*one) for one in processor.items())]
     modules = {name.partition(".warm:")[0] for names in WARM_UPS.values() for name in names}
     rooms = (_PACKAGE.joinpath(*module.split(".")) for module in sorted(modules))
     files = (file for room in rooms for file in sorted(room.rglob("*.py")))
@@ -112,11 +116,3 @@ def _folder() -> Path:
     beside = _PACKAGE / "__pycache__"
     writable = os.access(beside if beside.exists() else _PACKAGE, os.W_OK)
     return beside if writable else CACHE / "kernels"
-
-
-def _processor() -> tuple[str, str]:
-    """Return the processor that numba compiles for."""
-    named = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
-    if None not in named:
-        return str(named[0]), str(named[1])
-    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
