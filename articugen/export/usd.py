@@ -6,7 +6,6 @@ wants them, posed canonically; they collide where convex meshes are asked for.
 
 import tempfile
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from articugen.export.formats import Format
 from articugen.export.items import Item, of_objects
 from articugen.export.parts import picture_of, unique
 from articugen.export.target import Files
+from articugen.meshes import openusd as pxr
 from articugen.meshes.painting import Look, looks
 from articugen.pictures.layout import png
 from articugen.pictures.portrait import parts_portrait
@@ -33,22 +33,6 @@ _QCODES = {
 
 
 _PLACES = "st"  # of corners in pictures: the name by which viewers look for them
-
-
-class _Module:
-    """Module of OpenUSD, imported when it is first used; type checkers know nothing of it."""
-
-    def __init__(self, name: str) -> None:
-        self._name = f"pxr.{name}"
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(import_module(self._name), name)
-
-
-Gf, Sdf, Tf, Usd, UsdGeom = map(_Module, ("Gf", "Sdf", "Tf", "Usd", "UsdGeom"))
-UsdPhysics, UsdSemantics, UsdShade, Vt = map(
-    _Module, ("UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
-)
 
 
 def _write(item: Item, target: Files) -> None:
@@ -75,21 +59,21 @@ def _write(item: Item, target: Files) -> None:
 def _fill(
     path: Path, name: str, item: Item, parts: tuple[Body, ...], shown: Sequence[Sequence[Look]]
 ) -> None:
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, f"/{_identifier(name)}")
+    stage = pxr.Usd.Stage.CreateNew(str(path))
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    pxr.UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    root = pxr.UsdGeom.Xform.Define(stage, f"/{_identifier(name)}")
     root.GetPrim().SetDisplayName(name)
     stage.SetDefaultPrim(root.GetPrim())
-    UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
+    pxr.UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     facts = _facts(item.rows, parts)
     stage.GetRootLayer().customLayerData = {**facts, "SimReady_Metadata": facts}
     _add_label(root.GetPrim(), "class", facts["category"])
     _add_label(root.GetPrim(), "wikidata_qcode", facts["qcode"])
     for part, body in enumerate(parts):
         _add_body(stage, f"{root.GetPath()}/part_{part}", part, body, shown[part])
-    fixed = UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
+    fixed = pxr.UsdPhysics.FixedJoint.Define(stage, f"{root.GetPath()}/to_world")
     fixed.CreateBody1Rel().SetTargets([f"{root.GetPath()}/part_0"])
     ours = ["Looks", fixed.GetPrim().GetName(), *(f"part_{part}" for part in range(len(parts)))]
     joints = [_identifier(body.joint.name) for body in parts if body.joint]
@@ -112,43 +96,43 @@ def _facts(rows: DataSet, parts: tuple[Body, ...]) -> dict[str, Any]:
         "usd_date_generated": "undated: equal data give equal files",
         "qcode": _QCODES.get(row.category, _QCODES[""]),
         "rigid_body_count": len(parts),
-        "asset_extents": Gf.Vec3f(*np.ptp(corners, axis=0).tolist()),
+        "asset_extents": pxr.Gf.Vec3f(*np.ptp(corners, axis=0).tolist()),
         "mass": sum(float(body.filled.mass) for body in parts),
     }
 
 
 def _add_label(prim: Any, kind: str, label: str) -> None:
-    UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr([label])
+    pxr.UsdSemantics.LabelsAPI.Apply(prim, kind).CreateLabelsAttr([label])
 
 
 def _identifier(name: str) -> str:
     """Return the name as OpenUSD takes it for a prim; led by `_` where it starts with a digit,
     which OpenUSD would put `_` in place of, so that 12692 and 22692 became one."""
-    return Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
+    return pxr.Tf.MakeValidIdentifier(f"_{name}" if name[:1].isdigit() else name)
 
 
 def _add_body(stage: Any, path: str, part: int, body: Body, shown: Sequence[Look]) -> None:
-    xform = UsdGeom.Xform.Define(stage, path)
-    xform.AddTranslateOp().Set(Gf.Vec3d(*body.place.tolist()))
+    xform = pxr.UsdGeom.Xform.Define(stage, path)
+    xform.AddTranslateOp().Set(pxr.Gf.Vec3d(*body.place.tolist()))
     prim = xform.GetPrim()
     prim.SetDisplayName(body.name)
     _add_label(prim, "class", body.name)
-    UsdPhysics.RigidBodyAPI.Apply(prim)
-    mass = UsdPhysics.MassAPI.Apply(prim)
+    pxr.UsdPhysics.RigidBodyAPI.Apply(prim)
+    mass = pxr.UsdPhysics.MassAPI.Apply(prim)
     mass.CreateMassAttr(float(body.filled.mass))
-    mass.CreateCenterOfMassAttr(Gf.Vec3f(*body.filled.center_mass.tolist()))
+    mass.CreateCenterOfMassAttr(pxr.Gf.Vec3f(*body.filled.center_mass.tolist()))
     moments, axes = np.linalg.eigh(body.filled.moment_inertia)  # about the principal axes
     axes[:, 2] *= np.sign(np.linalg.det(axes))
-    turn = Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
-    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
-    mass.CreatePrincipalAxesAttr(Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
+    turn = pxr.Gf.Matrix3d(*axes.T.ravel().tolist()).ExtractRotation().GetQuat()
+    mass.CreateDiagonalInertiaAttr(pxr.Gf.Vec3f(*moments.tolist()))
+    mass.CreatePrincipalAxesAttr(pxr.Gf.Quatf(turn.GetReal(), *turn.GetImaginary()))
     _add_visual(prim, body.mesh, part, shown)
     for k, hull in enumerate(body.hulls):
         felt = _add_mesh(stage, f"{path}/convex_{k}", hull)
-        felt.CreatePurposeAttr(UsdGeom.Tokens.guide)
-        UsdPhysics.CollisionAPI.Apply(felt.GetPrim())
-        shape = UsdPhysics.MeshCollisionAPI.Apply(felt.GetPrim())
-        shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        felt.CreatePurposeAttr(pxr.UsdGeom.Tokens.guide)
+        pxr.UsdPhysics.CollisionAPI.Apply(felt.GetPrim())
+        shape = pxr.UsdPhysics.MeshCollisionAPI.Apply(felt.GetPrim())
+        shape.CreateApproximationAttr(pxr.UsdPhysics.Tokens.convexHull)
 
 
 def _picture_name(part: int, number: int, look: Look) -> str:
@@ -159,59 +143,61 @@ def _picture_name(part: int, number: int, look: Look) -> str:
 def _add_visual(prim: Any, shape: Mesh, part: int, some: Sequence[Look]) -> None:
     """Add what is seen of a part. Its first colour is that of its own material, for what touches
     it; of several each has the material of a subset of the faces."""
-    colours = [Gf.Vec3f(*look.light.tolist()) for look in some]
+    colours = [pxr.Gf.Vec3f(*look.light.tolist()) for look in some]
     names = [_picture_name(part, k, look) for k, look in enumerate(some)]
     _bind_material(prim, prim.GetName(), colours[0], names[0])
     mesh = _add_mesh(prim.GetStage(), f"{prim.GetPath()}/visual", shape)
     if any(names):
-        kind = Sdf.ValueTypeNames.TexCoord2fArray
-        laid = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(_PLACES, kind, UsdGeom.Tokens.faceVarying)
+        kind = pxr.Sdf.ValueTypeNames.TexCoord2fArray
+        laid = pxr.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+            _PLACES, kind, pxr.UsdGeom.Tokens.faceVarying
+        )
         places = np.zeros((len(shape.faces), 3, 2), np.float32)
         for look in some:
             places[look.faces] = 0.0 if look.places is None else look.places
-        laid.Set(Vt.Vec2fArray.FromNumpy(places.reshape(-1, 2)))
+        laid.Set(pxr.Vt.Vec2fArray.FromNumpy(places.reshape(-1, 2)))
     if len(some) == 1:
         mesh.CreateDisplayColorAttr(colours)
         return
     shown = np.zeros((len(shape.faces), 3), np.float32)
-    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    binding = pxr.UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
     for k, (look, colour, picture) in enumerate(zip(some, colours, names, strict=True)):
         shown[look.faces] = look.light
-        faces = Vt.IntArray.FromNumpy(look.faces.astype(np.int32))
+        faces = pxr.Vt.IntArray.FromNumpy(look.faces.astype(np.int32))
         subset = binding.CreateMaterialBindSubset(f"colour_{k}", faces)
         _bind_material(subset.GetPrim(), f"{prim.GetName()}_{k}", colour, picture)
-    binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
-    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
-    primvar.Set(Vt.Vec3fArray.FromNumpy(shown))
+    binding.SetMaterialBindSubsetsFamilyType(pxr.UsdGeom.Tokens.partition)
+    primvar = mesh.CreateDisplayColorPrimvar(pxr.UsdGeom.Tokens.uniform)
+    primvar.Set(pxr.Vt.Vec3fArray.FromNumpy(shown))
 
 
 def _bind_material(prim: Any, name: str, colour: Any, picture: str) -> None:
     """Bind a new material, for what is seen of it, in a colour or a picture, and for what touches
     it."""
     path = prim.GetStage().GetDefaultPrim().GetPath().AppendPath(f"Looks/{name}")
-    material = UsdShade.Material.Define(prim.GetStage(), path)
-    shader = UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
+    material = pxr.UsdShade.Material.Define(prim.GetStage(), path)
+    shader = pxr.UsdShade.Shader.Define(prim.GetStage(), path.AppendChild("preview"))
     shader.CreateIdAttr("UsdPreviewSurface")
-    diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse = shader.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f)
     diffuse.Set(colour)
     if picture:
         diffuse.ConnectToSource(_add_picture(prim.GetStage(), path, picture))
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.8)
+    shader.CreateInput("roughness", pxr.Sdf.ValueTypeNames.Float).Set(0.8)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    rubbed = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    rubbed = pxr.UsdPhysics.MaterialAPI.Apply(material.GetPrim())
     rubbed.CreateStaticFrictionAttr(SURFACE_FRICTION)
     rubbed.CreateDynamicFrictionAttr(SURFACE_FRICTION)
     _add_label(material.GetPrim(), "material", "wood")  # as DENSITY and SURFACE_FRICTION are of it
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+    pxr.UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
 def _add_picture(stage: Any, material: Any, picture: str) -> Any:
     """Return the output of what reads a material's picture at the places of corners."""
-    kinds = Sdf.ValueTypeNames
-    reader = UsdShade.Shader.Define(stage, material.AppendChild("places"))
+    kinds = pxr.Sdf.ValueTypeNames
+    reader = pxr.UsdShade.Shader.Define(stage, material.AppendChild("places"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", kinds.String).Set(_PLACES)
-    texture = UsdShade.Shader.Define(stage, material.AppendChild("picture"))
+    texture = pxr.UsdShade.Shader.Define(stage, material.AppendChild("picture"))
     texture.CreateIdAttr("UsdUVTexture")
     texture.CreateInput("file", kinds.Asset).Set(f"./{picture}")
     texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
@@ -223,18 +209,20 @@ def _add_picture(stage: Any, material: Any, picture: str) -> Any:
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh) -> Any:
-    prim = UsdGeom.Mesh.Define(stage, path)
-    points = Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
+    prim = pxr.UsdGeom.Mesh.Define(stage, path)
+    points = pxr.Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32))
     prim.CreatePointsAttr(points)
-    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
-    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel()))
+    prim.CreateFaceVertexCountsAttr(
+        pxr.Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32))
+    )
+    prim.CreateFaceVertexIndicesAttr(pxr.Vt.IntArray.FromNumpy(mesh.faces.ravel()))
     across = area_vectors(mesh.triangles)
     across[~across.any(axis=1)] = 0.0, 0.0, 1.0  # of a face without area
     flat = across / np.linalg.norm(across, axis=1, keepdims=True)
-    prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(flat.astype(np.float32)))
-    prim.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
-    prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
-    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateNormalsAttr(pxr.Vt.Vec3fArray.FromNumpy(flat.astype(np.float32)))
+    prim.SetNormalsInterpolation(pxr.UsdGeom.Tokens.uniform)
+    prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
+    prim.CreateSubdivisionSchemeAttr(pxr.UsdGeom.Tokens.none)
     return prim
 
 
@@ -242,15 +230,17 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
     moving, root = parts[part].joint, path.rpartition("/")[0]
     assert moving is not None
     revolute = moving.kind == "revolute"
-    schema = UsdPhysics.RevoluteJoint if revolute else UsdPhysics.PrismaticJoint
+    schema = pxr.UsdPhysics.RevoluteJoint if revolute else pxr.UsdPhysics.PrismaticJoint
     joint = schema.Define(stage, path)
     joint.GetPrim().SetDisplayName(moving.name)
     joint.CreateBody0Rel().SetTargets([f"{root}/part_{moving.parent}"])
     joint.CreateBody1Rel().SetTargets([f"{root}/part_{part}"])
     joint.CreateAxisAttr("X")
-    turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(1, 0, 0), Gf.Vec3d(*moving.axis.tolist())).GetQuat())
-    joint.CreateLocalPos0Attr(Gf.Vec3f(*(moving.pivot - parts[moving.parent].place).tolist()))
-    joint.CreateLocalPos1Attr(Gf.Vec3f(0.0))
+    turn = pxr.Gf.Quatf(
+        pxr.Gf.Rotation(pxr.Gf.Vec3d(1, 0, 0), pxr.Gf.Vec3d(*moving.axis.tolist())).GetQuat()
+    )
+    joint.CreateLocalPos0Attr(pxr.Gf.Vec3f(*(moving.pivot - parts[moving.parent].place).tolist()))
+    joint.CreateLocalPos1Attr(pxr.Gf.Vec3f(0.0))
     joint.CreateLocalRot0Attr(turn)
     joint.CreateLocalRot1Attr(turn)
     unit = np.degrees(1.0) if revolute else 1.0
@@ -258,13 +248,13 @@ def _add_joint(stage: Any, path: str, part: int, parts: tuple[Body, ...]) -> Non
     joint.CreateUpperLimitAttr(moving.upper * unit)
     along = "angular" if revolute else "linear"
     damping, friction = resistance(parts, part)
-    drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), along)
+    drive = pxr.UsdPhysics.DriveAPI.Apply(joint.GetPrim(), along)
     drive.CreateStiffnessAttr(0.0)
     drive.CreateDampingAttr(damping / unit)
     joint.GetPrim().AddAppliedSchema(f"PhysxJointAxisAPI:{along}")  # UsdPhysics has no friction
     for kind in ("static", "dynamic"):
         effort = f"physxJointAxis:{along}:{kind}FrictionEffort"
-        joint.GetPrim().CreateAttribute(effort, Sdf.ValueTypeNames.Float, False).Set(friction)
+        joint.GetPrim().CreateAttribute(effort, pxr.Sdf.ValueTypeNames.Float, False).Set(friction)
 
 
 FORMAT = Format(

@@ -13,11 +13,11 @@ import re
 import tempfile
 import zipfile
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from articugen.core.errors import InvalidSource
+from articugen.meshes import openusd as pxr
 from articugen.meshes.model_files import MAX_MODEL_BYTES, ModelFiles, quoted
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -26,11 +26,6 @@ MAX_LAYERS = 1_000
 _CRATE = b"PXR-USDC"
 _TEXT = (b"#usda", b"#sdf")
 _ANONYMOUS = re.compile(r"anon:0x[0-9a-f]+:")
-
-
-def pxr(*names: str) -> list[Any]:
-    """Return modules of OpenUSD, of which type checkers know nothing, by name."""
-    return [import_module(f"pxr.{name}") for name in names]
 
 
 @dataclass(frozen=True)
@@ -161,26 +156,24 @@ def _package(data: bytes, file: Path) -> zipfile.ZipFile:
 
 def _opened(data: bytes, place: Place) -> Any:
     """Return the layer that these bytes are."""
-    (Sdf, Tf) = pxr("Sdf", "Tf")
     try:
         if data.startswith(_CRATE):
             return _from_crate(data, place)
         if not data.startswith(_TEXT):
             raise InvalidSource(f"{place.file}: is no USD layer; export it again")
-        layer = Sdf.Layer.CreateAnonymous(f"{place.label}.usda")
+        layer = pxr.Sdf.Layer.CreateAnonymous(f"{place.label}.usda")
         if layer.ImportFromString(data.decode()):
             return layer
         reason = "no layer"
     except UnicodeDecodeError:
         reason = "not UTF-8"
-    except Tf.ErrorException as error:
+    except pxr.Tf.ErrorException as error:
         reason = plainly(str(error.args[0].commentary if error.args else error))
     raise InvalidSource(f"{place.file}: OpenUSD cannot read it ({reason}); export it again")
 
 
 def _from_crate(data: bytes, place: Place) -> Any:
-    (Sdf,) = pxr("Sdf")
-    layer = Sdf.Layer.CreateAnonymous(f"{place.label}.usdc")
+    layer = pxr.Sdf.Layer.CreateAnonymous(f"{place.label}.usdc")
     with tempfile.NamedTemporaryFile(suffix=".usdc") as file:  # which has no other way in
         file.write(data)
         file.flush()

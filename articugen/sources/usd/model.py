@@ -11,9 +11,10 @@ import numpy as np
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.records import Joint, Mesh
+from articugen.meshes import openusd as pxr
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.shapes import joined
-from articugen.sources.usd.layers import Layers, plainly, pxr
+from articugen.sources.usd.layers import Layers, plainly
 from articugen.sources.usd.physics import WORLD, PhysicsJoint, Stage, body_of, read_joint
 from articugen.sources.usd.shapes import Shapes
 from articugen.sources.usd.transforms import Places
@@ -64,10 +65,9 @@ def digest(path: Path, root: Path) -> str:
 
 
 def _stage(layers: Layers, path: Path) -> Any:
-    (Tf, Usd) = pxr("Tf", "Usd")
     try:
-        stage = Usd.Stage.Open(layers.root, None)
-    except Tf.ErrorException as error:
+        stage = pxr.Usd.Stage.Open(layers.root, None)
+    except pxr.Tf.ErrorException as error:
         raise InvalidSource(
             f"{path}: OpenUSD cannot open it ({plainly(str(error))}); export it again"
         ) from None
@@ -90,13 +90,12 @@ class _Reading:
     def model(self, sha256: str) -> Model:
         bodies, jointed, shapes = self._found()
         numbers = {prim.GetPath(): k for k, prim in enumerate(bodies, 1)}
-        (UsdGeom,) = pxr("UsdGeom")
-        if not UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
+        if not pxr.UsdGeom.StageHasAuthoredMetersPerUnit(self._stage):
             self._notes.append("does not state its unit: taken as centimetres, as USD has it")
-        metres = float(UsdGeom.GetStageMetersPerUnit(self._stage))
+        metres = float(pxr.UsdGeom.GetStageMetersPerUnit(self._stage))
         if not 1e-9 <= metres <= 1e6:
             raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
-        up = _Z_UP if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z else _Y_UP
+        up = _Z_UP if pxr.UsdGeom.GetStageUpAxis(self._stage) == pxr.UsdGeom.Tokens.z else _Y_UP
         physics = Stage(str(self._path), self._places, numbers, up, metres)
         read = [(prim, joint) for prim in jointed if (joint := read_joint(prim, physics))]
         joints = [joint for _, joint in read]
@@ -114,14 +113,13 @@ class _Reading:
     def _found(self) -> tuple[list[Any], list[Any], list[Any]]:
         """Return the prims that are bodies, joints and shapes; InvalidSource for too many, or
         none."""
-        (UsdPhysics,) = pxr("UsdPhysics")
         bodies, joints, shapes = list[Any](), list[Any](), list[Any]()
         for prim in self._prims():
-            if prim.IsA(UsdPhysics.Joint):
+            if prim.IsA(pxr.UsdPhysics.Joint):
                 joints.append(prim)
             elif self._shapes.shown(prim):
                 shapes.append(prim)
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and body_of(prim) == prim:
+            if prim.HasAPI(pxr.UsdPhysics.RigidBodyAPI) and body_of(prim) == prim:
                 bodies.append(prim)
         for what, prims in (("rigid bodies", bodies), ("joints", joints)):
             if len(prims) >= MAX_LINKS:
@@ -138,9 +136,8 @@ class _Reading:
     def _prims(self) -> Iterator[Any]:
         """Yield the prims of the default prim, where the file names one; shared instances once
         each."""
-        (Usd,) = pxr("Usd")
         top = self._stage.GetDefaultPrim() or self._stage.GetPseudoRoot()
-        for number, prim in enumerate(Usd.PrimRange(top, Usd.TraverseInstanceProxies())):
+        for number, prim in enumerate(pxr.Usd.PrimRange(top, pxr.Usd.TraverseInstanceProxies())):
             if number >= MAX_PRIMS:
                 raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
             yield prim
@@ -213,11 +210,10 @@ _WORLD_NAME = "world"
 def _holders(bodies: Sequence[Any], joints: Sequence[PhysicsJoint]) -> list[int]:
     """Bodies in the order in which they hold what hangs on nothing: articulation roots, then those
     that no joint moves, then the others."""
-    (UsdPhysics,) = pxr("UsdPhysics")
     moved = {joint.bodies[1] for joint in joints}
 
     def rank(number: int) -> tuple[bool, bool]:
-        root = bodies[number - 1].HasAPI(UsdPhysics.ArticulationRootAPI)
+        root = bodies[number - 1].HasAPI(pxr.UsdPhysics.ArticulationRootAPI)
         return not root, number in moved
 
     return sorted(range(1, len(bodies) + 1), key=rank)

@@ -11,8 +11,8 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import transform
 from articugen.core.portable import product, turned
 from articugen.core.records import JointKind
+from articugen.meshes import openusd as pxr
 from articugen.meshes.model_files import quoted
-from articugen.sources.usd.layers import pxr
 from articugen.sources.usd.transforms import (
     Places,
     axis_of,
@@ -81,9 +81,8 @@ class PhysicsJoint:
 
 def body_of(prim: Any) -> Any | None:
     """Return the nearest rigid body that a prim is or lies in."""
-    (UsdPhysics,) = pxr("UsdPhysics")
     while prim and not prim.IsPseudoRoot():
-        is_body, body = prim.HasAPI(UsdPhysics.RigidBodyAPI), UsdPhysics.RigidBodyAPI(prim)
+        is_body, body = prim.HasAPI(pxr.UsdPhysics.RigidBodyAPI), pxr.UsdPhysics.RigidBodyAPI(prim)
         if is_body and body.GetRigidBodyEnabledAttr().Get() is not False:
             return prim
         prim = prim.GetParent()
@@ -93,9 +92,8 @@ def body_of(prim: Any) -> Any | None:
 def read_joint(prim: Any, stage: Stage) -> PhysicsJoint | None:
     """Return the joint that a prim is, None of one that is switched off; InvalidSource if it is of
     a kind that is not read, or anything is amiss with it."""
-    (UsdPhysics,) = pxr("UsdPhysics")
     by = f"{stage.where}: {prim.GetPath()}"
-    joint = UsdPhysics.Joint(prim)
+    joint = pxr.UsdPhysics.Joint(prim)
     if value_of(joint.GetJointEnabledAttr(), by) is False:
         return None
     name = str(prim.GetTypeName())

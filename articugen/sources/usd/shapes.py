@@ -10,9 +10,9 @@ from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, cross
 from articugen.core.portable import dot
 from articugen.core.records import Mesh
+from articugen.meshes import openusd as pxr
 from articugen.meshes import read
 from articugen.meshes.scenes import check_size
-from articugen.sources.usd.layers import pxr
 from articugen.sources.usd.transforms import Places, numbers, value_of
 
 MAX_SHAPES = 5_000
@@ -35,12 +35,11 @@ class Shapes:
     def shown(self, prim: Any) -> bool:
         """Return whether a prim is a surface that is seen: not a guide or proxy, not hidden;
         InvalidSource for a kind without which the model would not be itself."""
-        (UsdGeom,) = pxr("UsdGeom")
         kind = str(prim.GetTypeName())
         if kind not in (*_REFUSED, *_NOT_READ, *_MAKERS):
             return False
-        imageable = UsdGeom.Imageable(prim)
-        hidden = imageable.ComputeVisibility() == UsdGeom.Tokens.invisible
+        imageable = pxr.UsdGeom.Imageable(prim)
+        hidden = imageable.ComputeVisibility() == pxr.UsdGeom.Tokens.invisible
         if hidden or imageable.ComputePurpose() not in ("default", "render"):
             return False
         if kind in _REFUSED:
@@ -77,8 +76,7 @@ class Shapes:
 
 
 def _mesh(prim: Any, by: str) -> Mesh:
-    (UsdGeom,) = pxr("UsdGeom")
-    mesh = UsdGeom.Mesh(prim)
+    mesh = pxr.UsdGeom.Mesh(prim)
     points = _array(mesh.GetPointsAttr(), np.float64, by).reshape(-1, 3)
     counts = _array(mesh.GetFaceVertexCountsAttr(), np.int64, by)
     corners = _array(mesh.GetFaceVertexIndicesAttr(), np.int64, by)
@@ -92,7 +90,7 @@ def _mesh(prim: Any, by: str) -> Mesh:
     faces = read.fans(corners[np.repeat(kept, counts)], counts[kept])
     if faces.size and not 0 <= faces.min() <= faces.max() < len(points):
         raise InvalidSource(f"{by}: a face names a point that is not there; export it again")
-    if value_of(mesh.GetOrientationAttr(), by) == UsdGeom.Tokens.leftHanded:
+    if value_of(mesh.GetOrientationAttr(), by) == pxr.UsdGeom.Tokens.leftHanded:
         faces = faces[:, ::-1]
     return Mesh(points, faces.astype(np.int32))
 

@@ -8,8 +8,8 @@ from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import cross, rotation_about, rotation_from_quaternion
 from articugen.core.portable import dot, norm, product, turned
+from articugen.meshes import openusd as pxr
 from articugen.meshes.model_files import quoted
-from articugen.sources.usd.layers import pxr
 
 MAX_NUMBER = 1e9  # largest length in stage units, angle in degrees or scale
 
@@ -26,13 +26,12 @@ class Places:
 
     def of(self, prim: Any) -> Floats:
         """Return (4, 4), stage units; with scale and all."""
-        (UsdGeom,) = pxr("UsdGeom")
         if prim.IsPseudoRoot():
             return np.eye(4)
         path = prim.GetPath()
         if path not in self._known:
             above = self.of(prim.GetParent())
-            xformable = UsdGeom.Xformable(prim)
+            xformable = pxr.UsdGeom.Xformable(prim)
             if xformable:
                 local = self._own(xformable)
                 above = local if xformable.GetResetXformStack() else product(above, local)
@@ -52,14 +51,13 @@ class Places:
 
 def _steps(xformable: Any, by: str) -> list[Any]:
     """Return the steps by which a prim is placed; OpenUSD passes over those that it cannot find."""
-    (Tf,) = pxr("Tf")
     names = value_of(xformable.GetXformOpOrderAttr(), by) or ()
     wanted = [str(name) for name in names]
     if "!resetXformStack!" in wanted:  # what stands before it counts for nothing
         wanted = wanted[len(wanted) - wanted[::-1].index("!resetXformStack!") :]
     try:
         steps = list(xformable.GetOrderedXformOps())
-    except Tf.ErrorException:
+    except pxr.Tf.ErrorException:
         steps = []
     if [str(op.GetOpName()) for op in steps] != wanted:
         raise InvalidSource(
