@@ -74,7 +74,8 @@ class Layers:
     def _named(self, name: str, by: Place) -> Place:
         """Return where the layer is that a layer calls `name`."""
         where = f"{by.file}: its layer {quoted(name)}"
-        if not _is_relative(name):
+        # an absolute path; a scheme, a drive, or arguments for a file format; a file in a package
+        if name.startswith(("/", "\\", "`", "~")) or ":" in name or name.endswith("]"):
             raise InvalidSource(
                 f"{where} is named by an absolute path, on the network or by an expression, and "
                 "nothing outside of the model is read; save it in its folder and name it there"
@@ -128,14 +129,6 @@ def _refuse_clips(layer: Any, place: Place) -> None:
             )
 
     layer.Traverse("/", look)
-
-
-def _is_relative(name: str) -> bool:
-    return not (
-        name.startswith(("/", "\\", "`", "~"))
-        or ":" in name  # a scheme, a drive, or arguments for a file format
-        or name.endswith("]")  # a file in a package
-    )
 
 
 def _package(data: bytes, file: Path) -> zipfile.ZipFile:
