@@ -155,15 +155,13 @@ def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     version, length, json_length = struct.unpack_from("<III", data, 4)
     if version != 2 or length != len(data) or json_length > length - 20:
         raise _broken(path, f"its GLB header does not fit its {len(data)} bytes or is not glTF 2")
-    return _read_gltf(data[20 : 20 + json_length], data, path, files)
+    return read_gltf(data, path, files, data[20 : 20 + json_length])
 
 
-def read_gltf(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
-    """glTF 2.0 as JSON; its buffers lie inside it or in files of the model."""
-    return _read_gltf(data, data, path, files)
-
-
-def _read_gltf(text: bytes, data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+def read_gltf(data: bytes, path: Path, files: ModelFiles, text: bytes | None = None) -> _Arrays:
+    """glTF 2.0 as JSON; its buffers lie inside it or in files of the model. Of a GLB that is its
+    `text`."""
+    text = data if text is None else text
     document, buffers = _check_gltf(text, path, files)
 
     def read(looks: Looks) -> materials.ScenePaint:
