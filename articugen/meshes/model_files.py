@@ -75,10 +75,8 @@ class ModelFiles:
         if longest > MAX_NAME_BYTES:
             raise InvalidSource(f"{by} has a name of more than {MAX_NAME_BYTES} bytes; shorten it")
         scheme, separator, rest = name.partition("://")
-        if not separator:
-            return self._find_path(name, by)
-        if scheme == "file":
-            return self._find_path(rest, by)
+        if not separator or scheme == "file":
+            return self._find_path(rest if separator else name, by)
         if scheme == "package":
             package, _, inside = rest.partition("/")
             if package in ("", ".", ".."):
