@@ -17,12 +17,13 @@ from articugen.fusion.field import (
     fuse,
     pixel_width,
 )
-from articugen.fusion.parts import SolidPart, joined_bvh, seen_alone, seen_by, solid_part
+from articugen.fusion.parts import SolidPart, seen_alone, seen_by, solid_part
 from articugen.fusion.reachable import touched
 from articugen.fusion.solidify import closed_piece, face_areas, face_normals, origins, welded
 from articugen.fusion.thin import way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh
+from articugen.meshes.bvh import joined as joined_bvh
 
 __all__ = [
     "SOLIDS",

@@ -5,7 +5,7 @@ way. So each part is examined alone, its sheets are thickened and its faces turn
 what its views and its closed pieces say together is its material.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from articugen.fusion import solidify
 from articugen.fusion.field import FusedField, OwnSolid, flooded, fuse, own_solid, pixel_width
 from articugen.fusion.thin import thin_voxels, way_meets
 from articugen.fusion.winding import ClosedPieces, closed_pieces
-from articugen.meshes.bvh import Bvh, joined, tree_of
+from articugen.meshes.bvh import Bvh, tree_of
 
 Render = Callable[[LabelledMesh, Floats], DepthMaps]
 """Renders a mesh alone from all around, given also the box (2, 3) that it fills."""
@@ -108,11 +108,6 @@ def _own(part: SolidPart, field: FusedField, judged: FusedField) -> OwnSolid:
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
     alone = replace(field, thin=thin, flood=flooded(judged, part.mesh).flood)
     return own_solid(alone, part.box, part.pieces)
-
-
-def joined_bvh(parts: Sequence[SolidPart]) -> Bvh:
-    """Return the tree of the faces of all parts, one part after the other."""
-    return joined([part.tree for part in parts])
 
 
 def _slit(

@@ -213,7 +213,7 @@ def _prepared(
     static = backend.render(parts[0].mesh, views)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
-    bvh = fusion.joined_bvh(parts)
+    bvh = fusion.joined_bvh([part.tree for part in parts])
     paint = Paint.of(obj, soup, parts) if recipe.shows_colours else None
     rng = partial(generator, seed, obj.category, obj.object_id)
     swept = swept_box(mesh, motions[: len(states)])  # the same for any reach

@@ -230,7 +230,7 @@ class _Model:
         self.mesh = LabelledMesh.joined([solid.mesh for solid in self.solids])
         if not len(self.mesh.faces):
             raise RejectedInstance("it has no faces: those of its links have no area")
-        self.bvh = fusion.joined_bvh(self.solids)
+        self.bvh = fusion.joined_bvh([solid.tree for solid in self.solids])
         self.colliding = fusion.Colliding.of(self.mesh, self.bvh, rng=generator(0, "check"))
         self.alone = np.zeros((obj.part_count,) * 2)  # how much deeper joints that move alone bring
 
