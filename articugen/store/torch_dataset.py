@@ -55,16 +55,13 @@ class TorchStream(IterableDataset):
         self._here = self.rows.part(*((worker.id, worker.num_workers) if worker else (0, 1)))
         if self._state is not None:
             self._here.load_state_dict(self._state)
-        return map(self._sample, self._here)
+        return ({n: _of_row(n, row.stored(n)) for n in self.fields} for row in self._here)
 
     def state_dict(self) -> dict[str, Any]:
         return self._here.state_dict()
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         self._state = state
-
-    def _sample(self, row: Any) -> Sample:
-        return {name: _of_row(name, row.stored(name)) for name in self.fields}
 
 
 def _of_row(name: str, stored: Any) -> Any:
