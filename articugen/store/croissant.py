@@ -8,6 +8,7 @@ have the same text.
 import json
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Protocol
 
 from articugen.core.content import VERSION
@@ -93,12 +94,10 @@ def fault(text: bytes, manifest: Manifest) -> str | None:
     if text == wanted:
         return None
     if manifest.articugen_version != code_version():
-        try:
+        with suppress(ValueError, RecursionError, KeyError, TypeError):
             read, facts = json.loads(text), json.loads(wanted)
             if all(read[key] == facts[key] for key in _FACTS):
                 return None
-        except (ValueError, RecursionError, KeyError, TypeError):
-            pass
     return "it does not say of the data what the manifest says"
 
 
