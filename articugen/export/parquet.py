@@ -8,7 +8,7 @@ is a picture, which the hub's viewer shows, and the card one of some objects tha
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -38,8 +38,6 @@ from articugen.pictures.surfels import Surfels
 from articugen.store.dataset import DataSet
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import pyarrow
 
 _IMAGE, _TEXTS = "image", ("split", "category")
@@ -59,7 +57,7 @@ _EXTENSION = "datasets.features.features.Array{}DExtensionType"
 nested lists."""
 
 
-def _items(data: DataSet) -> "Iterator[Item]":
+def _items(data: DataSet) -> Iterator[Item]:
     """Yield a file an object, numbered as Hugging Face numbers the files of a split."""
     for split in data.splits:
         objects = list(data.split(split).by_object())
