@@ -8,7 +8,7 @@ import os
 import random
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import pytest
 from browser import browser
 from hypothesis import settings
 
+from articugen.core import plugins
 from articugen.core.processes import default_jobs
 
 settings.register_profile("same", derandomize=True, database=None, deadline=None)
@@ -46,6 +47,7 @@ def pytest_configure() -> None:
             os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """One more than cores: some tests wait, for a process that ends or a time that passes."""
     return default_jobs() + 1
@@ -102,6 +104,17 @@ def laptops(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from exports import generated  # noqa: PLC0415 - what few tests need
 
     return generated("laptop", tmp_path_factory.mktemp("laptops"), objects=2, states=2)
+
+
+@pytest.fixture
+def forget_plugins() -> Callable[[], None]:
+    """Has installed plugins looked up again."""
+
+    def forget() -> None:
+        for cached in (plugins._found, plugins._load, plugins._load_all):
+            cached.cache_clear()
+
+    return forget
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import pytest
 from command_line import run
 from digests import digest
 
-from articugen.core import plugins
 from articugen.core.errors import ArticugenError, BrokenPlugin, InvalidCheckpoint, InvalidRecipe
 from articugen.evaluation.results import read_evaluation
 from articugen.learning import commands
@@ -29,7 +28,7 @@ schedule:
 
 
 @pytest.fixture(autouse=True)
-def installed(tmp_path, monkeypatch):
+def installed(tmp_path, monkeypatch, forget_plugins):
     """The other package, as pip leaves it: an entry point beside its code."""
     about = tmp_path / "site" / "nearest-1.0.dist-info"
     about.mkdir(parents=True)
@@ -39,9 +38,9 @@ def installed(tmp_path, monkeypatch):
     )
     monkeypatch.syspath_prepend(str(about.parent))
     (tmp_path / "mine.yaml").write_text(RECIPE)
-    plugins.forget()
+    forget_plugins()
     yield
-    plugins.forget()
+    forget_plugins()
 
 
 def articugen(*arguments: object) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from python_process import printed
 
-from articugen.core import plugins
 from articugen.core.errors import BrokenPlugin, InvalidArgument, InvalidSource
 from articugen.core.recipe import ViewSettings
 from articugen.core.records import LabelledMesh
@@ -76,7 +75,9 @@ Install = Callable[..., None]
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+def install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forget_plugins: Callable[[], None]
+) -> Iterator[Install]:
     """Puts a package where Python finds it, as pip would: its module and its entry points."""
     site = tmp_path / "site"
     site.mkdir()
@@ -89,12 +90,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
         lines = [f"[articugen.{group}]", *(f"{name} = {value}" for name, value in points.items())]
         (folder / "entry_points.txt").write_text("\n".join(lines) + "\n")
-        plugins.forget()
+        forget_plugins()
         monkeypatch.delitem(sys.modules, module, raising=False)
 
     yield put
     monkeypatch.undo()
-    plugins.forget()
+    forget_plugins()
 
 
 def chests(folder: Path, *names: str) -> Path:

@@ -59,12 +59,6 @@ class Table:
         return _load_all(self)
 
 
-def forget() -> None:
-    """Look again at what is installed."""
-    for cached in (_found, _load, _load_all):
-        cached.cache_clear()
-
-
 @cache
 def _found(table: Table) -> dict[str, EntryPoint]:
     """By name; of one name the first package's counts."""

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from articugen.core.arrays import Indices
 from articugen.core.geometry import bounds
 from articugen.core.jit import kernel
 from articugen.core.records import LabelledMesh
@@ -41,10 +40,6 @@ class ThinVoxels(NamedTuple):
     bits: Any
     first: Any
     resolution: int
-
-    def voxels(self) -> Indices:
-        """Return (n, 3) the lattice's numbers of those that are marked."""
-        return np.argwhere(np.unpackbits(self.bits, axis=2, bitorder="little")) + self.first
 
 
 NOTHING = ThinVoxels(np.zeros((0, 0, 0), np.uint8), np.zeros(3, np.int64), 1)
