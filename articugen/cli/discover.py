@@ -185,7 +185,8 @@ def _table(joints: "Sequence[FoundJoint]") -> "Table":
         if len(known) < len(joint.states):
             span += f", {len(known)} of {len(joint.states)}"
         table.add_row(
-            str(joint.kind), vector(joint.axis, 2), vector(joint.pivot, 3), span,
+            f"{joint.kind} on {joint.parent}" if joint.parent else str(joint.kind),
+            vector(joint.axis, 2), vector(joint.pivot, 3), span,
             f"{joint.score:.2f}",
         )  # fmt: skip
     return table

@@ -13,8 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
-from articugen.discovery.clouds import SEARCHED, TELLING, Cells, Change, Surface, change, still
+
+from articugen.discovery.clouds import (  # isort: skip
+    SEARCHED, TELLING, Cells, Change, Surface, change, checked, still, with_normals,
+)  # fmt: skip
 from articugen.discovery.fitting import fitted, refitted, some, states_of
 from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
@@ -61,8 +65,8 @@ def discover(
 ) -> Discovery:
     """Find the joints of one object from several poses of it.
 
-    All moving parts hang on a fixed one, which stays where it is; chains of joints are not looked
-    for. The same clouds give the same joints.
+    All moving parts hang on a fixed one, which stays where it is; see `discover_chains` for others.
+    The same clouds give the same joints.
 
     Args:
         poses: K >= 2 clouds (n_k, 3) in one frame: points on the surface, or the centres of
@@ -78,11 +82,17 @@ def discover(
             nothing moves; normals are not one for each point.
     """
     diff = change(poses, normals)
+    (first,) = with_normals(checked(poses[:1]), normals and normals[:1])
+    return complete(diff, searched(diff, kinds, directions), first)
+
+
+def searched(
+    diff: Change, kinds: Collection[JointKind], directions: Directions | None = None
+) -> list[Candidate]:
+    """Return the joints on the fixed part that explain what moves."""
     search = Finder(diff, kinds, directions or {})
     search.look_for_joints()
-    joints = search.settled()
-    outward = None if normals is None else np.asarray(normals[0], np.float64)
-    return _told(diff, joints, np.asarray(poses[0], np.float64), outward)
+    return search.settled()
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,26 +359,39 @@ def _moved(diff: Change, joints: list[Candidate]) -> list[Floats]:
     return [still(len(diff.chosen)), *(motions(joint) for joint in joints)]
 
 
-def _told(
-    diff: Change, joints: list[Candidate], points: Floats, outward: Floats | None
-) -> Discovery:
-    """Labels, states of all poses and scores, in the frame of the clouds."""
-    cloud = np.ascontiguousarray(diff.frame.to_unit(points))
-    surface = Surface.bare(cloud, outward).shaped(diff.first, diff.near)
-    far = [diff.poses.distances(surface, M, diff.near) for M in _moved(diff, joints)]
+def complete(diff: Change, joints: list[Candidate], first: Surface) -> Discovery:
+    """Labels of pose 0 as it was given, `first`, states of all poses and scores, in its frame."""
+    order, part, parts = parted(diff, _moved(diff, joints), first, [0] * len(joints))
+    fixed = Cells.of(parts[:1], diff.near)
+    done = [in_clouds(diff, joints[j], parts[n], fixed) for n, j in enumerate(order, 1)]
+    return Discovery(tuple(done), first.points, part)
+
+
+def parted(
+    diff: Change, moved: list[Floats], first: Surface, parents: list[int]
+) -> tuple[list[int], Ints, list[Surface]]:
+    """Return which joints move anything, by the parts that they hang on, `parents`, as `by_size`
+    does; the parts (n,) of pose 0; and their surfaces in the cube, the fixed one's first. `moved`
+    (S, 3, 4) is what stays and what each joint moves in the searched poses."""
+    cloud = replace(first, points=np.ascontiguousarray(diff.frame.to_unit(first.points)))
+    surface = cloud.shaped(diff.first, diff.near)
+    far = [diff.poses.distances(surface, M, diff.near) for M in moved]
     cost = np.minimum(far, diff.near).mean(1) / diff.near
-    order, part = by_size(labels(cost, surface.points, diff.near), len(joints))
-    fixed = Cells.of([surface[part == 0]], diff.near)
-    parts = [surface[part == 1 + n] for n in range(len(order))]
-    complete = [_joint(diff, joints[j], parts[n], fixed) for n, j in enumerate(order)]
-    return Discovery(tuple(complete), points, part)
+    order, part = by_size(labels(cost, surface.points, diff.near), parents)
+    return order, part, [surface[part == n] for n in range(len(order) + 1)]
 
 
-def _joint(diff: Change, joint: Candidate, part: Surface, fixed: Cells) -> FoundJoint:
+def in_clouds(diff: Change, joint: Candidate, part: Surface, fixed: Cells) -> FoundJoint:
     """Return the joint in the clouds' frame, with the states of all poses."""
     core = part[some(np.arange(len(part)), 250)]
     states = np.concatenate([[0.0], states_of(joint, core, diff.others, fixed)])
+    right = score(diff, part, motions(joint))
+    return found_joint(diff.frame, joint, states, part.points.mean(0), right)
+
+
+def score(diff: Change, part: Surface, moved: Floats) -> float:
+    """Return the share of a part's points, where they have left, that land on something new."""
+    core = part[some(np.arange(len(part)), 250)]
     gone = ~diff.poses.met(core, still(len(diff.chosen)), diff.near)
-    new = diff.targets.met(core, motions(joint), diff.near)
-    score = float((gone & new).sum() / max(gone.sum(), 1))
-    return found_joint(diff.frame, joint, states, part.points.mean(0), score)
+    new = diff.targets.met(core, moved, diff.near)
+    return float((gone & new).sum() / max(gone.sum(), 1))

@@ -1,5 +1,6 @@
 """The joints and parts of an object, as found."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ class FoundJoint:
         pivot: (3,) a point on the axis, beside its part; of a slide, the middle of the part.
         states: (K,) of each pose, radians or lengths, 0 in the reference; NaN: too little is seen.
         score: which share of the part's points, where they have left, land on something new.
+        parent: the part that it hangs on, 0 for the fixed one; with its part moves its axis.
     """
 
     kind: JointKind
@@ -32,11 +34,13 @@ class FoundJoint:
     pivot: Floats
     states: Floats
     score: float
+    parent: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Joints:
-    """The `joints` of an object, that with most points first; j + 1 is the part that j moves."""
+    """The `joints` of an object, parents before children, then that with most points first; j + 1
+    is the part that j moves."""
 
     joints: tuple[FoundJoint, ...]
 
@@ -48,6 +52,7 @@ class Joints:
         for j, joint in enumerate(self.joints):
             which = joint.kind == JointKind.REVOLUTE, joint.axis, joint.pivot, joint.states[[pose]]
             T[j + 1, :3] = motions(Candidate(*which))[0]
+            T[j + 1] = T[joint.parent] @ T[j + 1]
         return T
 
 
@@ -92,11 +97,16 @@ def _as_neighbours(
     return np.where(np.sum(votes, axis=0) > 0, np.argmax(votes, axis=0), label)
 
 
-def by_size(part: Ints, count: int) -> tuple[list[int], Ints]:
-    """Return which of `count` joints move anything, those with most points first, and the parts
-    numbered accordingly."""
+def by_size(part: Ints, parents: Sequence[int]) -> tuple[list[int], Ints]:
+    """Return which joints move anything, those on the fixed part first, then those with most
+    points; and the parts numbered accordingly; `parents` are the parts that they hang on."""
+    count = len(parents)
     sizes = [int((part == j + 1).sum()) for j in range(count)]
-    order = [j for j in sorted(range(count), key=lambda j: -sizes[j]) if sizes[j]]
+    depth = [0] * (count + 1)
+    for j, parent in enumerate(parents):  # parents come before their children
+        depth[j + 1] = depth[parent] + 1
+    order = sorted(range(count), key=lambda j: (depth[j + 1], -sizes[j]))
+    order = [j for j in order if sizes[j]]
     number = np.zeros(count + 1, np.int64)
     number[[j + 1 for j in order]] = 1 + np.arange(len(order))
     return order, number[part]

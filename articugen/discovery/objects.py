@@ -98,7 +98,7 @@ def discover(
     turned = [surface.points @ R.T for surface in surfaces]
     if cameras is None:
         outward = None if normals is None else [surface.normals @ R.T for surface in surfaces]
-        outcome = discovery.discover(turned, normals=outward, kinds=kinds)
+        outcome = discovery.discover_chains(turned, normals=outward, kinds=kinds)
     else:
         eyes = np.asarray(cameras, np.float64)
         eyes = eyes @ R.T if eyes.shape[-1:] == (3,) else eyes  # or is refused
@@ -391,6 +391,7 @@ def as_json(discovery: Discovery | None) -> list[dict[str, Any]]:
     return [
         {
             "kind": str(joint.kind),
+            "parent": joint.parent,
             "axis": joint.axis.tolist(),
             "pivot": joint.pivot.tolist(),
             "states": [None if np.isnan(q) else q for q in joint.states.tolist()],

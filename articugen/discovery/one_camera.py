@@ -219,7 +219,7 @@ class _Exact:
             cost.append(
                 np.where(shown.any(0), (far * shown).sum(0) / np.maximum(shown.sum(0), 1), 0.5)
             )
-        which, part = by_size(labels(np.array(cost), cloud, near), len(fits))
+        which, part = by_size(labels(np.array(cost), cloud, near), [0] * len(fits))
         joints = []
         for n, fit in enumerate(fits[j] for j in which):
             states = np.zeros(K)

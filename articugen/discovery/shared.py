@@ -6,7 +6,7 @@ axis does an object's part come to lie on another's, in most pairs of objects?
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ class SharedJoint(FoundJoint):
         margin: how many times the score of the best joint of another kind or direction it has.
     """
 
-    margin: float
+    margin: float = field(kw_only=True)
 
     def of(self, i: int) -> FoundJoint:
         """Return the joint as object i has it."""
@@ -310,7 +310,9 @@ def _joint(way: _Way, pivot: Floats, back: Floats, score: float, margin: float) 
     if way.turns:  # about their mean, so that none is a whole turn away
         mean = np.arctan2(np.sin(states).mean(), np.cos(states).mean())
         states = (states - mean + np.pi) % (2.0 * np.pi) - np.pi
-    return SharedJoint(way.kind, np.eye(3)[way.axis], pivot, states - states.min(), score, margin)
+    return SharedJoint(
+        way.kind, np.eye(3)[way.axis], pivot, states - states.min(), score, margin=margin
+    )
 
 
 def _labels(vote: _Vote, follows: list[list[Floats]]) -> tuple[Ints, ...]:
