@@ -10,7 +10,7 @@ from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import JointKind
-from articugen.discovery.clouds import TELLING, Change, Surface, change, checked, with_normals
+from articugen.discovery.clouds import Change, Surface, change, checked, with_normals
 from articugen.discovery.discover import KINDS, complete, in_clouds, parted, score, searched
 from articugen.discovery.joints import Discovery, FoundJoint, Joints
 from articugen.discovery.search import motions
@@ -23,7 +23,7 @@ _MANY = 0.1  # chains are looked for where so many are open
 _WORTH, _OF_OPEN = 0.05, 0.33  # a joint on a moving part explains so much more, and of these
 _NEEDED = 0.02  # a joint without which as much is explained, but for so little, is needless
 
-_FEWEST = 40  # points of pose 0, of some 8,000, that a joint moves
+_FEWEST, _OTHERS = 40, 7  # points of pose 0, of some 8,000, that a joint moves; other poses
 
 
 def discover_chains(
@@ -110,7 +110,7 @@ def _explained(diff: Change, joints: Sequence[FoundJoint]) -> float:
 def _open(diff: Change, joints: Sequence[FoundJoint]) -> Bools:
     """Return (n,) which points have left and follow no joint; none if these, or poses, are few."""
     is_open = diff.movers & (_shares(diff, joints) < _OPEN)
-    enough = is_open.sum() > max(_MANY * diff.movers.sum(), _FEWEST) and len(diff.others) >= TELLING
+    enough = is_open.sum() > max(_MANY * diff.movers.sum(), _FEWEST) and len(diff.others) >= _OTHERS
     return is_open & enough
 
 
