@@ -54,3 +54,11 @@ def test_a_kernel_is_compiled_again_where_a_helpers_file_changed(tmp_path):
         command = ("-c", "import ours; print(ours.many(7))")
         said = printed(*command, folder=tmp_path, NUMBA_CACHE_DIR="", **own)
         assert said.split() == [str(7 * factor)]
+
+
+def test_a_debugger_may_step_through_kernels():
+    code = (
+        "import numpy as np\nfrom articugen.core.near import any_within, by_cell\n"
+        "print(any_within(by_cell(np.eye(3)), np.eye(3)[:1] + 0.01, 0.1).tolist())"
+    )
+    assert printed("-c", code, NUMBA_DISABLE_JIT="1").split() == ["[True]"]

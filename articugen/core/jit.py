@@ -37,7 +37,8 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
         compiled = _njit(cache=True, **_OPTIONS, **options)(function)
     except RuntimeError:  # neither this folder nor the user's cache can be written to
         return _njit(**_OPTIONS, **options)(function)
-    _drop_stale(function, Path(compiled.stats.cache_path))
+    if compiled is not function:  # as it is by NUMBA_DISABLE_JIT, for debuggers
+        _drop_stale(function, Path(compiled.stats.cache_path))
     return compiled
 
 

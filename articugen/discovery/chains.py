@@ -96,8 +96,7 @@ def _in_cube(diff: Change, joints: Sequence[FoundJoint], poses: Ints) -> list[Fl
 
 
 def _shares(diff: Change, joints: Sequence[FoundJoint]) -> Floats:
-    """Return (n,) in what share of the other poses a point of pose 0 lies on something, carried
-    with the part that lays it best."""
+    """Return (n,) in what share of other poses a point lies on something, moved as a part does."""
     moved = _in_cube(diff, joints, np.arange(1, len(diff.others) + 1))
     return np.max([diff.others.met(diff.start, M, diff.near).mean(0) for M in moved], axis=0)
 
