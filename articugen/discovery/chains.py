@@ -10,7 +10,7 @@ from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import invert_rigid
 from articugen.core.records import JointKind
-from articugen.discovery.clouds import Change, Surface, change, checked, with_normals
+from articugen.discovery.clouds import Change, Surface, change, surfaces_of
 from articugen.discovery.discover import KINDS, complete, in_clouds, parted, score, searched
 from articugen.discovery.joints import Discovery, FoundJoint, Joints
 from articugen.discovery.search import motions
@@ -42,7 +42,7 @@ def discover_chains(
         InvalidArgument: as `discover` does.
     """
     diff = change(poses, normals)
-    surfaces = with_normals(checked(poses), normals)
+    surfaces = surfaces_of(poses, normals)
     plain = complete(diff, searched(diff, kinds), surfaces[0])
     joints, options, frontier = [*plain.joints], list[FoundJoint](), range(len(plain.joints))
     while frontier and (is_open := _open(diff, joints)).any():

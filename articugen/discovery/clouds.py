@@ -224,13 +224,13 @@ def change(
         raise InvalidArgument(
             f"{len(poses)} pose of the object, which shows no motion; give two or more"
         )
-    sound = checked(poses)
-    low = np.min([cloud.min(0) for cloud in sound], axis=0)
-    high = np.max([cloud.max(0) for cloud in sound], axis=0)
+    whole = surfaces_of(poses, normals)
+    low = np.min([surface.points.min(0) for surface in whole], axis=0)
+    high = np.max([surface.points.max(0) for surface in whole], axis=0)
     size = max(float((high - low).max()), 1e-12) / _EDGE
     frame = Normalization((low + high) / 2.0, size)
     rng = np.random.default_rng(0)
-    surfaces = with_normals([frame.to_unit(cloud) for cloud in sound], normals)
+    surfaces = [replace(surface, points=frame.to_unit(surface.points)) for surface in whole]
     clouds = tuple(_thinned(surface, rng) for surface in surfaces)
     points = [cloud.points for cloud in clouds]
     first = Cells.of(clouds[:1])
@@ -303,25 +303,16 @@ def still(count: int) -> Floats:
     return np.tile(np.eye(4)[:3], (count, 1, 1))
 
 
-def checked(poses: Sequence[Any]) -> list[Floats]:
-    """Return the poses as clouds (n, 3) of floats.
+def surfaces_of(clouds: Sequence[Any], normals: Sequence[Any] | None = None) -> list[Surface]:
+    """Return clouds (n, 3) as floats, with their normals, where these are known.
 
     Raises:
-        InvalidArgument: one is no cloud of points.
+        InvalidArgument: one is no cloud of points; normals are not one for each point.
     """
-    return [
-        finite(np.asarray(pose, np.float64), f"pose {k}", InvalidArgument)
-        for k, pose in enumerate(poses)
+    points = [
+        np.ascontiguousarray(finite(np.asarray(cloud, np.float64), f"pose {k}", InvalidArgument))
+        for k, cloud in enumerate(clouds)
     ]
-
-
-def with_normals(clouds: Sequence[Floats], normals: Sequence[Any] | None) -> list[Surface]:
-    """Return clouds (n, 3) with their normals, where these are known.
-
-    Raises:
-        InvalidArgument: they are not one for each point.
-    """
-    points = [np.ascontiguousarray(cloud) for cloud in clouds]
     if normals is None:
         return [Surface.bare(cloud) for cloud in points]
     outward = [np.ascontiguousarray(normal, np.float64) for normal in normals]

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Ints
 from articugen.core.records import Floats, JointKind
-
-from articugen.discovery.clouds import (  # isort: skip
-    SEARCHED, TELLING, Cells, Change, Surface, change, checked, still, with_normals,
-)  # fmt: skip
 from articugen.discovery.fitting import fitted, refitted, some, states_of
 from articugen.discovery.joints import Discovery, FoundJoint, by_size, found_joint, labels
 from articugen.discovery.search import EVERY_WAY, Candidate, Search, carried, motions
+
+from articugen.discovery.clouds import (  # isort: skip
+    SEARCHED, TELLING, Cells, Change, Surface, change, still, surfaces_of,
+)  # fmt: skip
 
 Directions = Mapping[JointKind, Floats]
 
@@ -82,7 +82,7 @@ def discover(
             nothing moves; normals are not one for each point.
     """
     diff = change(poses, normals)
-    (first,) = with_normals(checked(poses[:1]), normals and normals[:1])
+    first = surfaces_of(poses[:1], normals and normals[:1])[0]
     return complete(diff, searched(diff, kinds, directions), first)
 
 

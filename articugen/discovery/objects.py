@@ -17,7 +17,7 @@ from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource
 from articugen.core.geometry import invert_rigid, motions_apart, twist_ends
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import KINDS, Discovery, FoundJoint
-from articugen.discovery.clouds import checked, with_normals
+from articugen.discovery.clouds import surfaces_of
 from articugen.discovery.frames import frame_of_faces
 from articugen.discovery.groups import Groups, agreement, group_instances
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
@@ -93,7 +93,7 @@ def discover(
     if cameras is not None and normals is not None:
         raise InvalidArgument("cameras give normals of their own; leave out `normals`")
     kinds = _kinds(joints)
-    surfaces = with_normals(checked([_cloud(pose) for pose in poses]), normals)
+    surfaces = surfaces_of([_cloud(pose) for pose in poses], normals)
     R = frame_of_faces(surfaces) if surfaces else np.eye(3)
     turned = [surface.points @ R.T for surface in surfaces]
     if cameras is None:

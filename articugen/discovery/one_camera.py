@@ -16,7 +16,7 @@ from articugen.core.arrays import Bools, Floats, Ints
 from articugen.core.errors import InvalidArgument
 from articugen.core.geometry import norm
 from articugen.core.records import JointKind
-from articugen.discovery.clouds import Cells, Change, Surface, change, checked, is_new, still
+from articugen.discovery.clouds import Cells, Change, Surface, change, is_new, still, surfaces_of
 from articugen.discovery.discover import BESIDE, KINDS, PLAIN, Finder
 from articugen.discovery.fitting import refitted, some, states_of
 from articugen.discovery.joints import Discovery, by_size, found_joint, labels
@@ -57,7 +57,7 @@ def discover_views(
         InvalidArgument: one is no cloud of points, cameras are not one for each, too little is seen
             of what moves, or more moves than the joints explain.
     """
-    clouds = checked(poses)
+    clouds = [surface.points for surface in surfaces_of(poses)]
     eyes = np.asarray(cameras, np.float64)
     if eyes.shape != (len(clouds), 3):
         raise InvalidArgument(f"cameras of shape {eyes.shape} are no places, one for each pose")

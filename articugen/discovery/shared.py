@@ -18,7 +18,7 @@ from articugen.core.jit import kernel
 from articugen.core.near import by_cell, nearest_within
 from articugen.core.records import JointKind
 from articugen.discovery.alignment import CELLS, SIDE, Alignment, facing_of, grid_of, values_at
-from articugen.discovery.clouds import checked, with_normals
+from articugen.discovery.clouds import surfaces_of
 from articugen.discovery.discover import KINDS
 from articugen.discovery.joints import FoundJoint
 from articugen.discovery.search import Candidate, motions
@@ -284,7 +284,7 @@ def discover_shared(
         raise InvalidArgument(
             f"{len(clouds)} objects say little of what a category shares; give {FEWEST} or more"
         )
-    surfaces = with_normals(checked(clouds), normals)
+    surfaces = surfaces_of(clouds, normals)
     sound, outward = [s.points for s in surfaces], [s.normals for s in surfaces]
     alignment = Alignment(sound, [facing_of(ways) for ways in outward])
     stretch, shift, agreement = alignment.best()
