@@ -1,18 +1,18 @@
 """What the commands show while they work and when they are done."""
 
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.padding import Padding
-from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from articugen.cli.saying import REJECTED, command, say, stdout
+from articugen.cli.saying import REJECTED, command, counting_bar, say, stderr, stdout
 from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
 from articugen.core.tables import counted, duration, facts, size
@@ -122,55 +122,29 @@ def _add_left_out(
 
 
 @contextmanager
-def progress(console: Console, plan: Plan) -> Iterator[tuple[OnObject, OnNotice]]:
-    """A bar with the rate and the time left; one line an object where `console` is no terminal.
+def progress(plan: Plan) -> Iterator[tuple[OnObject, OnNotice]]:
+    """A bar with the rate and the time left; one line an object where stderr is no terminal.
     Yields what a run calls while it works."""
-    bar = Progress(
-        SpinnerColumn(),
-        BarColumn(),
-        TextColumn("{task.fields[objects]}/{task.fields[wanted]} objects"),
-        _Rate(),
-        TimeRemainingColumn(compact=True),
-        console=console,
-        disable=not console.is_terminal,
-        speed_estimate_period=1800.0,
-        transient=True,
-    )
-    wanted = len(plan.tasks)
-    running = bar.add_task("", total=plan.instances or None, objects=0, wanted=wanted, made=0)
+    began, wanted, done, instances = time.perf_counter(), len(plan.tasks), 0, 0
 
     def on_object(report: ObjectReport) -> None:
+        nonlocal done, instances
         if report.reused:
             return
-        state = bar.tasks[running].fields
-        bar.update(
-            running,
-            advance=plan.instances / max(wanted, 1),
-            objects=state["objects"] + 1,
-            made=state["made"] + report.instances,
-        )
-        if console.is_terminal:
+        done, instances = done + 1, instances + report.instances
+        rate = instances / (time.perf_counter() - began)
+        count_object(done, wanted, f"{rate:.1f} instances/s")
+        if stderr.is_terminal:
             return
         # why an object was not made stands in `made_table`
         word = next((kind for kind in UNMADE if getattr(report, kind) is not None), "")
         text = f"{report.instances} instances in {duration(report.seconds)}"
-        which = f"{state['objects']}/{wanted} {report.shard or '-'} {report.object_id}"
-        say(f"{which}: {word or text}", to=console)
+        which = f"{done}/{wanted} {report.shard or '-'} {report.object_id}"
+        say(f"{which}: {word or text}", to=stderr)
 
-    with bar:
-        yield on_object, lambda sentence: say((sentence, "yellow"), to=console)
-
-
-class _Rate(TextColumn):
-    """Instances per second since the start: finished objects come in lumps."""
-
-    def __init__(self) -> None:
-        super().__init__("")
-
-    def render(self, task: Task) -> Text:
-        made = task.fields["made"]
-        rate = made / task.elapsed if task.elapsed else 0.0
-        return Text(f"{rate:.1f} instances/s" if made else "starting", "bright_black")
+    with counting_bar() as count_object:
+        count_object(0, wanted, "starting")
+        yield on_object, lambda sentence: say((sentence, "yellow"), to=stderr)
 
 
 def _title(category: str, folder: object) -> Text:

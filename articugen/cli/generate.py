@@ -89,7 +89,7 @@ def _made(job: "Job", *, dry_run: bool, replace: bool) -> int:
             return 0
         cure = "REPLACE=1" if called_by_make() else "--replace"
         run.check_replaces(replace=replace, cure=f"add {cure}")
-        with console.progress(stderr, run.plan) as callbacks:
+        with console.progress(run.plan) as callbacks:
             finished = run.finish(executor, *callbacks)
     if finished.manifest is None:
         return console.tell_share(finished.outcomes, job)

@@ -128,12 +128,14 @@ def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
     from rich import progress as rich  # noqa: PLC0415 - takes time
 
     bar = rich.Progress(
+        rich.SpinnerColumn(),
         rich.BarColumn(),
         rich.TextColumn("{task.completed}/{task.total}"),
         rich.TimeRemainingColumn(compact=True),
         rich.TextColumn("{task.description}"),
         console=stderr,
         disable=not stderr.is_terminal,
+        speed_estimate_period=1800.0,  # work may end in lumps, as objects do
         transient=True,
     )
     running = bar.add_task("", total=None)
