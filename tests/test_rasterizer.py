@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 from articugen.core.geometry import look_along
 from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import render
-from articugen.rendering.overlay import Overlay
+from articugen.rendering.rasterizer import Overlay
 from articugen.rendering.rasterizer import render as rasterize
 from tests.shapes import box, labelled, pixel_points, rotated, two_sided, views_of
 

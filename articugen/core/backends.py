@@ -35,19 +35,18 @@ class Backend:
     """A renderer.
 
     Attributes:
-        module: has `render(mesh, views) -> DepthMaps`; imported when it is first used.
+        module: has `render(mesh, views) -> DepthMaps`, and may have a class `Overlay(static)`, see
+            above, without which everything is drawn again for each instance; imported when it is
+            first used.
         needs: what must be installed for it, in words; "" where articugen brings it along.
         tells_faces: whether its maps say which face each pixel sees.
         takes: which of the keywords of `Backend.render` the module's own takes as well.
-        overlay: a module with a class `Overlay(static)`, see above; "" where it has none, and
-            everything is drawn again for each instance.
     """
 
     module: str
     needs: str = ""
     tells_faces: bool = False
     takes: tuple[str, ...] = ()
-    overlay: str = ""
 
     def render(
         self,
@@ -107,7 +106,8 @@ class Backend:
 
     def overlay_on(self, static: DepthMaps) -> Overlay | None:
         """Return what draws over the maps of part 0; None where the backend has no such thing."""
-        return importlib.import_module(self.overlay).Overlay(static) if self.overlay else None
+        overlay = getattr(importlib.import_module(self.module), "Overlay", None)
+        return overlay and overlay(static)
 
     def __post_init__(self) -> None:
         if unknown := set(self.takes) - set(HINTS):
@@ -116,10 +116,7 @@ class Backend:
 
 BACKENDS: dict[str, Backend] = {
     "rasterizer": Backend(
-        "articugen.rendering.rasterizer",
-        tells_faces=True,
-        takes=("closed", "keep_depth"),
-        overlay="articugen.rendering.overlay",
+        "articugen.rendering.rasterizer", tells_faces=True, takes=("closed", "keep_depth")
     ),
     "embree": Backend("articugen.rendering.embree", needs="open3d", tells_faces=True),
     "opengl": Backend("articugen.rendering.opengl", needs="pyrender and EGL or OSMesa"),

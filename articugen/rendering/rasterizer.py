@@ -98,6 +98,28 @@ def draw(
         raise ValueError(f"a vertex projects more than {LARGEST_PIXEL} pixels outside the image")
 
 
+class Overlay:
+    """The faces seen when others are drawn over those that stay where they are, again and again.
+
+    Only the rectangle that the moving faces can touch is read and restored, and only the faces seen
+    are kept: with the faces' planes they say the depth more exactly than a depth map.
+    """
+
+    def __init__(self, fixed: DepthMaps) -> None:
+        """`fixed`: depth and faces of what does not move."""
+        assert fixed.depth is not None
+        assert fixed.face is not None
+        self._views = fixed.views
+        self._below = Below(fixed.depth, fixed.face, np.zeros((len(fixed.views), 4), np.int64))
+        self._face = fixed.face.copy()
+
+    def draw(self, mesh: LabelledMesh, *, closed: Bools, first_face: int) -> DepthMaps:
+        """Draw a mesh, see `core.backends.Overlay`; `closed` and ValueError as in `render`."""
+        depth = np.empty((1, *self._face.shape[1:]), np.float32)
+        draw(mesh, self._views, closed, depth, self._face, first_face=first_face, below=self._below)
+        return DepthMaps(None, self._face, self._views)
+
+
 @kernel
 def _draw(
     vertices, faces, closed, T, intrinsics, pinhole, first_face, depth, face, below, face_below,
