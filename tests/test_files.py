@@ -151,6 +151,13 @@ def test_the_names_of_new_folders_are_synchronised(tmp_path, monkeypatch):
     assert len(synced) == 2
 
 
+def test_a_file_where_a_folder_should_be_is_named(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(MachineFault, match="not written: a file is in the way"):
+            make_folder(folder)
+
+
 def test_where_nothing_can_be_written_no_work_is_begun(tmp_path, monkeypatch):
     """Whoever writes a file at the end looks first whether there is a place for it."""
 

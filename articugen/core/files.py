@@ -231,12 +231,14 @@ def megabytes(count: float) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and what is missing above it, as durable as what will be in it; or OSError."""
-    missing = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in missing:
-        with suppress(PermissionError):  # one may write to a folder that one may not read
-            sync(path.parent)
+    """Make a folder, and what is missing above it, as durable as what will be in it; or
+    MachineFault."""
+    with writing(folder):
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in missing:
+            with suppress(PermissionError):  # one may write to a folder that one may not read
+                sync(path.parent)
 
 
 def sync(path: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from articugen.core.colours import colour_of, linear, rgb
 from articugen.core.errors import ArticugenError, InvalidSource, UnfitData
-from articugen.core.files import write_atomically
+from articugen.core.files import make_folder, write_atomically
 from articugen.core.records import Floats, JointKind, Normalization, dequantize
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
@@ -191,7 +191,8 @@ def write_rig(
         frame: where the rig is to stand, and its scale; the unit frame if not given.
 
     Raises:
-        ArticugenError: there is no surface at all, or the folder cannot be written to.
+        ArticugenError: there is no surface at all, or (MachineFault) the folder cannot be written
+            to.
     """
     if shape.whole is None:
         raise ArticugenError(
@@ -200,10 +201,7 @@ def write_rig(
         )
     if not len(shape.triangles):
         raise ArticugenError(f"{folder}: the model sees no surface in this cloud; nothing to write")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArticugenError(f"{folder}: cannot be made ({error.strerror})") from None
+    make_folder(folder)
     links: dict[str, list[Visual]] = {}
     joints = []
     for i in range(shape.parts):

@@ -188,14 +188,12 @@ class RunFolder:
         on."""
         taken = (int(p.name) for p in runs.glob("*") if p.name.isdecimal())
         path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
+        make_folder(runs)
         try:
-            make_folder(runs)
             path.mkdir()
-        except FileExistsError:
-            if not name:  # another run was faster
-                return RunFolder.new(runs, recipe, category=category, seed=seed, data=data)
-            raise ArticugenError(f"{path}: cannot be made (File exists)") from None
         except OSError as error:
+            if isinstance(error, FileExistsError) and not name:  # another run was faster
+                return RunFolder.new(runs, recipe, category=category, seed=seed, data=data)
             raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
         about = {
             "category": category,
