@@ -9,9 +9,11 @@ from os.path import isdir
 from pathlib import Path
 
 from articugen.core.errors import InvalidSource
+from articugen.core.records import JointKind
+from articugen.core.yaml_files import unlisted
 from articugen.sources import readers, urdf_files
 from articugen.sources.folders import visible
-from articugen.sources.refs import NO_CATEGORY, Found
+from articugen.sources.refs import NO_CATEGORY, Found, ObjectRef
 from articugen.sources.source_file import SourceFile, plain, unknown
 
 
@@ -135,6 +137,37 @@ def distinct(models: Sequence[Found], base: Path) -> list[Found]:
         taken.add(name)
         names[f.location] = name
     return [replace(f, object_id=names.get(f.location, f.object_id)) for f in models]
+
+
+KINDS = tuple(str(kind) for kind in JointKind if kind != JointKind.FIXED)
+"""What `joints` may name, in URDF's words."""
+
+
+def of_joints(refs: list[ObjectRef], joints: Collection[str], category: str) -> list[ObjectRef]:
+    """Return the objects that have joints that move, all of them of the kinds `joints`, as
+    `Source.objects` says; no mesh is read. InvalidSource if none is left, or a word is no kind."""
+    for word in joints:
+        if word not in KINDS:
+            raise InvalidSource(unlisted("kind of joint", word, KINDS))
+    left = [ref for ref in refs if not joints or _fits(ref, frozenset(joints))]
+    if refs and not left:
+        raise InvalidSource(
+            f"no object of {category!r} has {' and '.join(sorted(set(joints)))} joints alone; name "
+            f"more of {', '.join(KINDS)}"
+        )
+    return left
+
+
+def _fits(ref: ObjectRef, wanted: frozenset[str]) -> bool:
+    from articugen.meshes.read import wanting  # noqa: PLC0415 - slow to import
+
+    try:
+        with wanting("nothing"):
+            obj = readers.load(ref)
+    except InvalidSource:
+        return True
+    kinds = {str(joint.kind) for joint in obj.moving_joints}
+    return bool(kinds) and kinds <= wanted
 
 
 _PLAIN = "urdf"  # the layout of what no reader knows: URDFs, wherever in a model's folder they are

@@ -17,7 +17,6 @@ from articugen.core.recipe import load_recipe
 from articugen.core.records import ArticulatedObject
 from articugen.core.yaml_files import nearest, unlisted
 from articugen.sources import listing, procedural, readers
-from articugen.sources.by_joints import of_joints
 from articugen.sources.folders import visible
 from articugen.sources.readers import Maker
 from articugen.sources.refs import NO_CATEGORY, NO_LICENCE, CategorySettings, Found, ObjectRef
@@ -137,7 +136,7 @@ class Source:
         left = [r for r in refs if (not ids or r.object_id in ids) and r.object_id not in exclude]
         if refs and not left:
             raise InvalidSource(f"no object of {category!r} is left; exclude fewer")
-        left = of_joints(left, joints, category)
+        left = listing.of_joints(left, joints, category)
         if objects is None or objects >= len(left):
             return tuple(left)
         tests = sum(ref.split == "test" for ref in left)
