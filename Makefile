@@ -43,7 +43,7 @@ replace = $(if $(REPLACE),--replace)
 option = $(if $($(1)),--$(2) "$($(1))")
 
 .DEFAULT_GOAL := help
-.PHONY: help dataset inspect report site view verify train depth evaluate comparison ablation test check format bench accuracy bench-reading bench-train soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
+.PHONY: help dataset inspect report site view verify train depth evaluate comparison ablation test check format bench accuracy bench-reading bench-train paris soundness fuzz chaos docs site-tools backends cluster learner exporters viewer clean
 
 help:  ## list the targets
 	@echo "make dataset CATEGORY=laptop [SOURCE= RECIPE= OBJECTS= STATES= JOBS= OUT= SEED= REPLACE=1"
@@ -158,6 +158,9 @@ bench-reading: $(testing)  ## measure what reading a shard costs, beside .npz fi
 
 bench-train: $(testing) $(learner)  ## measure PPD's training: rate, shares, memory (ARGS=--iterations 20)
 	@$(VENV)/bin/python -m tests.benchmarks.training $(ARGS)
+
+paris: $(testing)  ## find the axes of PARIS's ten objects in SOURCE=, models of PartNet-Mobility (ARGS=--all: of all)
+	@$(VENV)/bin/python -m tests.benchmarks.paris "$(SOURCE)" $(ARGS)
 
 soundness: $(testing)  ## make 3,000 bundled objects of each kind: none fails, collides or floats (ARGS=--quick)
 	@$(VENV)/bin/python -m tests.benchmarks.objects $(ARGS)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.benchmarks import cases, glance, labs, publish, tables
+import articugen as ag
+from tests.benchmarks import cases, glance, labs, paris, publish, tables
 from tests.benchmarks.cases import VOXEL
 from tests.benchmarks.rows import Results
 from tests.shapes import box, labelled
@@ -102,3 +103,25 @@ def test_a_picture_has_a_dot_a_method(tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib")
     assert glance.draw(_report(), tmp_path / "methods.png") is None
     assert (tmp_path / "methods.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("category", "name"), [("laptop", "laptop_0002"), ("drawer", "drawer_0003")]
+)
+def test_axes_are_measured_as_paris_does(category, name):
+    model = ag.load("procedural", name, category=category)
+    row = paris.measured(model, paris.PAIRS[1])
+    assert row.angle < 0.5
+    assert row.motion is not None
+    assert row.motion < (0.2 if category == "laptop" else 0.005)
+    assert (row.position is None) == (category == "drawer")
+    assert f"axis {row.angle:6.2f}" in paris.line(name, row)
+    missed = paris.Errors(90.0, None, None, 0, 1.0)
+    assert paris.summary([row, missed]).startswith("1 of 2 right; axes off by 45")
+    assert "(PARIS 2.93)  missed" in paris.line("10905", missed)
+
+
+def test_the_distance_of_two_lines_is_the_least():
+    x, y, o = np.eye(3)[0], np.eye(3)[1], np.zeros(3)
+    assert paris.lines_apart(x, o, y, np.array([5.0, 7.0, 2.0])) == pytest.approx(2.0)
+    assert paris.lines_apart(x, o, -x, np.array([5.0, 3.0, 4.0])) == pytest.approx(5.0)

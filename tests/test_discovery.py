@@ -252,6 +252,27 @@ def test_a_lid_does_not_sink_onto_what_it_hid(thick: float, angle: float) -> Non
         assert abs(joint.states[1] - angle) < 0.02
 
 
+def test_a_tray_that_slides_is_not_turned_around() -> None:
+    """Two poses: turned by half a circle a tray with two equal ends is where it slid to, and what
+    its sides left lies on something new; slid it lies on what had been the sides' middle."""
+    case = [board((0.4, 0.02, 0.16), (-0.2, y, 0.0)) for y in (-0.2, 0.2)]
+    case += [board((0.4, 0.38, 0.02), (-0.2, 0.0, z)) for z in (-0.07, 0.07)]
+    tray = [board((0.38, 0.02, 0.08), (-0.19, y, 0.0)) for y in (-0.17, 0.17)]
+    tray += [board((0.38, 0.32, 0.02), (-0.19, 0.0, -0.03))]
+    ends = [board((0.02, 0.32, 0.08), (x, 0.0, 0.0)) for x in (-0.01, -0.37)]
+    tray += [(points[:150], normals[:150]) for points, normals in ends]
+    clouds = [
+        np.concatenate(
+            [*(wall for wall, _ in case), *(side + np.array([out, 0, 0]) for side, _ in tray)]
+        )
+        for out in (0.0, 0.1)
+    ]
+    normals = np.concatenate([out for _, out in case + tray])
+    (joint,) = discover(clouds, normals=[normals, normals]).joints
+    assert joint.kind is JointKind.PRISMATIC
+    assert joint.states[1] == pytest.approx(0.1, abs=0.005)
+
+
 def bundled(name: str, poses: int, R: Floats | None = None) -> Discovery:
     """Joints of a bundled model by its first poses, with normals, all turned by R (3, 3)."""
     few = {"grids": [], "uniform_points": 16, "near_points": 16, "partial_views": 0}

@@ -41,6 +41,9 @@ _RIGHT, _WRONG = 0.4, 0.2  # a joint that a point follows is right in so many po
 _AGREES = 0.6  # a joint is fitted to points that it lays on something in so many poses
 _WORTH = 0.04  # a joint explains at least this share of all that has left
 _ALONE = 0.15  # and of what it explains best no other does this share at least
+_ALONG, _ITSELF, _FRONT, _SIDES = 0.3, 0.5, 0.1, 0.5
+"""A plane that slides along itself (to this cosine) lands on where it was, which counts so much of
+landing on something new, if so much of what has left does that, and so much of that on planes."""
 
 # What is preferred where both explain about as much; the more, the fewer poses say which is right:
 _SLIDES_FIRST = 1.05  # a slide along x, y or z, which has two parameters fewer, to a turn
@@ -98,11 +101,13 @@ def searched(
 @dataclass(frozen=True, eq=False)
 class _Grown:
     """A candidate with what it explains: of movers in the searched poses, the pairs where it is
-    `right` (S, m), where one that may follow is `wrong` (S, m), the movers that `follow` (m,)."""
+    `right` (S, m), where one that may follow is `wrong` (S, m), where one lands on its own plane,
+    `slid` (S, m), the movers that `follow` (m,)."""
 
     joint: Candidate
     right: NDArray[np.bool_]
     wrong: NDArray[np.bool_]
+    slid: NDArray[np.bool_]
     follow: NDArray[np.bool_]
     polished: bool = False
 
@@ -135,7 +140,9 @@ class Finder:
         self.gone = diff.gone[:, self.movers]
         self.sight = diff.sight
         self.left = np.ones(len(self.movers), bool)
-        self.width = 1 if len(self.gone) >= TELLING else 2  # of what is tried
+        few = len(self.gone) < TELLING
+        self.width = 2 if few else 1  # of what is tried
+        self.by_faces = few and self.part.signed  # which say more than so few poses
         self.prior = float(np.sqrt(SEARCHED / len(self.gone)))
         self.joints: list[_Grown] = []
 
@@ -174,6 +181,7 @@ class Finder:
             return -1.0
         movers = grown.follow & self.left[among]
         gain = grown.right[:, movers].sum() - 2.0 * grown.wrong[:, movers].sum()
+        gain += _ITSELF * grown.slid[:, movers].sum()
         liking = self._liking(grown.joint, self.part.points[among][movers])
         return float(gain * liking**self.prior)
 
@@ -201,13 +209,27 @@ class Finder:
             at = int(far.argmax())
         return patches
 
+    def _fronts(self) -> list[tuple[NDArray[np.intp], Candidate]]:
+        """Return slides along each axis by what faces that way, with that, where poses are few."""
+        if not self.by_faces or JointKind.PRISMATIC not in self.kinds:
+            return []
+        free = np.flatnonzero(self.left)
+        facing = np.abs(self.part.normals[free]).argmax(1)
+        planes = [(way, some(free[facing == n], 200)) for n, way in enumerate(np.eye(3))]
+        return [
+            (plane, joint)
+            for way, plane in planes
+            if len(plane) > _PATCH
+            for _, joint in self.search.slides(self.movers[plane], way[None], 1)
+        ]
+
     def _grown(self, patches: list[NDArray[np.intp]]) -> list[_Grown]:
         """Return the candidates that patches vote for, fitted and grown; the best unlike ones."""
         reach = 2.0 * self.change.near
+        voted = [(patch, joint) for patch in patches for joint in self._voted(patch)]
         seeds = [
             fitted(joint, self.part[some(patch, 60)], self.change.targets, reach, 3)
-            for patch in patches
-            for joint in self._voted(patch)
+            for patch, joint in voted + self._fronts()
         ]
         seeds = [self.explained(seed, reach, _SOME) for seed in seeds]
         seeds.sort(key=lambda seed: -self._gain(seed, _SOME))
@@ -238,7 +260,9 @@ class Finder:
                 return self.explained(grown.joint, near)
             joint = fitted(grown.joint, self.part[core], targets, reach, 3)
             grown = self.explained(joint, reach)
-        return grown
+        if grown.joint.turns or not self.by_faces:
+            return grown
+        return max(grown, self.explained(grown.joint.snapped(), near), key=self._gain)
 
     def _polished(self, grown: _Grown) -> _Grown:
         """With the states voted again by all that follow, and all of it fitted to them; about the
@@ -283,16 +307,21 @@ class Finder:
             there = self.change.poses.met(part, M, reach, gone)
             shown = there | gone & self.sight.free(carried(M, part.points))
         left = np.maximum(shown.sum(0), 1)
-        follow = right.sum(0) >= _RIGHT * left
-        wrong = shown & ~right & follow  # what is new in a pose is of it
+        slid = np.zeros_like(gone)
+        if self.by_faces and not joint.turns and right.sum() >= _FRONT * gone.sum():
+            slid = gone & ~right & (np.abs(part.normals @ joint.axis) < _ALONG)
+            slid &= self.change.poses.met(part, M, reach, slid)
+            slid &= slid.sum() >= _SIDES * right.sum()
+        follow = (right | slid).sum(0) >= _RIGHT * left
+        wrong = shown & ~right & ~slid & follow  # what is new in a pose is of it
         wrong &= ~self.change.poses.met(part, M, reach, wrong)
         follow &= wrong.sum(0) <= _WRONG * left
-        return _Grown(joint, right, wrong, follow)
+        return _Grown(joint, right, wrong, slid, follow)
 
     def _touching(self, joint: Candidate) -> NDArray[np.bool_]:
         """Return (S, m) which movers that have left a joint brings face to face, so that neither
         shows: a lid's lower face and what it comes to lie on. Many poses say it by themselves."""
-        if not self.part.signed or len(self.gone) >= TELLING:
+        if not self.by_faces:
             return np.zeros_like(self.gone)
         every, M = self.change.start[self.change.movers], motions(joint)
         there = Cells.of([every.moved(m) for m in M], self.change.near)
