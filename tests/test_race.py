@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 
 import pytest
@@ -96,6 +97,15 @@ def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
     other = TINY.with_seeds(2)
     with pytest.raises(InvalidCheckpoint, match="another recipe"):
         race(Training(other, "box", boxes, tmp_path, seed=1, resume=path))
+
+
+def test_a_race_that_is_over_resumes_to_itself(boxes, whole, tmp_path):
+    assert told(whole)["winner"] != 1, "whose checkpoint is of another seed than the race"
+    shutil.copytree(whole.path, tmp_path / "000")
+    (tmp_path / "000" / BEST).unlink()  # as if it was killed after the first copy
+    again = commands.train(boxes, resume=tmp_path / "000")
+    assert told(again) == told(whole)
+    assert same_state(again, whole)
 
 
 def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):

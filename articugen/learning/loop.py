@@ -153,8 +153,9 @@ class Training:
             InvalidCheckpoint: the run is not one of this training, or of other data.
             ArticugenError: another process trains there.
         """
-        run = RunFolder.existing(path)
-        point = read_checkpoint(path / LATEST) if (path / LATEST).is_file() else None
+        run, latest = RunFolder.existing(path), path / LATEST
+        is_race = (path / SEEDS).is_dir()  # which stands where its seeds do
+        point = read_checkpoint(latest) if latest.is_file() and not is_race else None
         about, described = run.about(), self._described()
         started = [(about["recipe_sha256"], about["category"], about["seed"])]
         if point:
@@ -163,8 +164,7 @@ class Training:
             raise InvalidCheckpoint(
                 f"{path}: was started with another recipe, category or seed; start a new run"
             )
-        source = about["data"]
-        digests = [part["content_sha256"] for part in (source, *source.get("also", ()))]
+        digests = [p["content_sha256"] for p in (about["data"], *about["data"]["also"])]
         if digests != [part["content_sha256"] for part in described]:
             folders = ", ".join(part["folder"] for part in described)
             raise InvalidCheckpoint(
