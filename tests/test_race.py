@@ -108,6 +108,18 @@ def test_a_race_that_is_over_resumes_to_itself(boxes, whole, tmp_path):
     assert same_state(again, whole)
 
 
+def test_a_seed_that_dropped_out_goes_on_alone(boxes, whole, tmp_path):
+    shutil.copytree(whole.path, tmp_path / "000")
+    (loser,) = set("123") - set(told(whole)["rounds"][1]["validation"])
+    path = tmp_path / "000" / "seeds" / loser
+    before = read_checkpoint(path / LATEST)
+    run = commands.train(boxes, resume=path)
+    assert (before.iteration, read_checkpoint(path / LATEST).iteration) == (2, 6)
+    assert same_state(run, train(Training(TINY, "box", boxes, tmp_path, seed=int(loser))))
+    assert not (path / RACE).exists()
+    assert told(commands.train(boxes, resume=tmp_path / "000")) == told(whole)
+
+
 def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
     def train_or_diverge(what, **options):
         if what.seed in bad:

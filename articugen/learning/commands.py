@@ -132,9 +132,9 @@ def train(
     what = loop.Training(
         settings, category, source, Path(runs) / category, seed, resume=resume, device=device
     )
-    # of one object none is held out, by which seeds could be judged
+    # of one object none is held out, by which seeds could be judged; a race's seed goes on alone
     is_single = not isinstance(source, Endless) and sum(training_objects(source)) == 1
-    if settings.seeds.count == 1 or is_single:
+    if settings.seeds.count == 1 or is_single or (resume and resume.parent.name == loop.SEEDS):
         return loop.train(what, on_progress=on_progress)
     is_alone = device != "cpu" or isinstance(source, Endless)
     at_once = 1 if is_alone else jobs or os.cpu_count() or 1
