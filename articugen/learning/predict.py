@@ -124,7 +124,7 @@ def write_cut(pieces: Reconstruction, folder: Path, frame: Normalization = UNIT)
         if i and not len(corners):
             continue
         kind = joints.kind[i] if joints else JointKind.FIXED
-        origin, how = np.zeros(3), None
+        origin, how = frame.center, None
         if joints and kind != JointKind.FIXED:
             origin = frame.to_world(joints.pivot[i])
             moving = _moving(joints, i, origin, frame.scale)

@@ -126,7 +126,7 @@ def glb_of(name: str, parts: Sequence[Part], extras: dict[str, Any] | None = Non
     first = np.cumsum([0, *(len(part.drawn) for part in parts)]).tolist()
     shown = [k for k, part in enumerate(parts) if len(part.vertices)]
     for k, part in enumerate(parts):
-        above = parts[part.parent].origin if k else part.origin
+        above = parts[part.parent].origin if k else np.zeros(3)
         nodes.append({"name": part.name, "translation": (part.origin - above).tolist()})
         if k in shown:
             nodes[-1]["mesh"] = shown.index(k)
