@@ -133,6 +133,12 @@ def test_a_cut_says_how_many_points_are_done_and_is_the_same_in_blocks(monkeypat
     assert lines[:2] == [f"cutting: {done} of {total}" for done in (0, 100)]
 
 
+def test_what_is_far_smaller_than_its_reconstruction_is_drawn(tmp_path):
+    found = dataclasses.replace(three_balls(), joints=None, T_part=None)
+    small = cut(Cloud(1e-4 * found.triangles.mean(1)), found)
+    assert draw_cut(small, found, tmp_path / "input.png").is_file()
+
+
 @pytest.mark.parametrize("is_mesh", [False, True])
 def test_what_was_given_moves_as_predicted(tmp_path, is_mesh):
     found = three_balls()

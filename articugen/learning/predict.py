@@ -146,7 +146,7 @@ def draw_cut(pieces: Reconstruction, whole: Reconstruction, path: Path) -> Path:
     names = Names(range(whole.parts), range(whole.parts))
     shares = _SHARES if whole.joints else {"as given": None}
     posed = [[_at(shape, share) for share in shares.values()] for shape in (whole, pieces)]
-    corners = np.concatenate([shape.triangles[:, 0] for shape in posed[1]])
+    corners = np.concatenate([shape.triangles[:, 0] for row in posed for shape in row])
     camera, floor = tile_camera(corners, _AZIMUTH), float(pieces.triangles[..., 2].min())
     captions = [[(name, colour_of(0))] for name in shares]
     rows = [
