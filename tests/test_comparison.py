@@ -13,6 +13,7 @@ from test_workers import children
 torch = pytest.importorskip("torch", reason="learning needs torch")
 
 from articugen.core.errors import ArticugenError, InvalidRecipe
+from articugen.evaluation.results import read_evaluation
 from articugen.learning import budget
 from articugen.learning.comparison import compare, recipes_of
 from articugen.learning.loop import Progress
@@ -118,6 +119,11 @@ def test_of_a_worker_that_is_killed_one_reads_at_once(tmp_path, monkeypatch):
     lost, finished = sentences
     assert re.match("a worker was killed .* at one_part, which is tried once more at the end", lost)
     assert finished == "one_part: finished"
+    run = Path("runs", "box", "0.03min", "one_part", "0")
+    for states in (None, 1):  # by other states it is measured again
+        again = {"minutes": 0.03, "runs": "runs", "states": states, "jobs": 1}
+        compare("boxes", "list.yaml", **again)
+        assert read_evaluation(run).run.states == states
 
 
 def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):

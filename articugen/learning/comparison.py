@@ -61,7 +61,8 @@ class Entry:
         path, notify = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
         named, recipe = self.what.named(str(seed)), self._scaled(notify)
         what = replace(named, recipe=recipe, seed=seed)
-        if what.resume and (path / "evaluation" / FILE).is_file():
+        is_measured = what.resume and (path / "evaluation" / FILE).is_file()
+        if is_measured and read_evaluation(path).run.states == self.states:
             what.resumed(path)  # or raise that it is another one
             return
         loop.train(what, on_progress=notify)
@@ -76,8 +77,6 @@ class Entry:
         """Return the recipe that the seeds are trained by: that of one that has begun, or new."""
         wanted = self.what.recipe
         for path in sorted(self.what.runs.glob("*/recipe.yaml")):
-            if path.parent.name == "pace":
-                continue
             recipe = RunFolder(path.parent).recipe()
             before = recipe.budget and recipe.budget.recipe_sha256  # it was scaled
             if wanted.sha256() not in (before, recipe.sha256()):
@@ -161,9 +160,8 @@ def compare(
     finished = [entry for entry in entries if entry.what.recipe.name not in refused]
     if not finished:
         raise ArticugenError(": ".join(next(iter(refused.items()))))
-    paths = [entry.what.runs / str(seed) for entry in finished for seed in entry.seeds]
-    about = f"# {category}, {minutes:g} minutes each\n\n"
-    text = about + tables([read_evaluation(path) for path in paths], refused)
+    measured = [read_evaluation(e.what.runs / str(seed)) for e in finished for seed in e.seeds]
+    text = f"# {category}, {minutes:g} minutes each\n\n" + tables(measured, refused)
     write_atomically(folder / TABLES, text.encode())
     commands.draw_examples([entry.what.runs / "0" for entry in finished], folder / FIGURE, data)
     return Compared(folder, text, folder / FIGURE)
