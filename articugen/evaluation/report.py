@@ -137,7 +137,7 @@ Column = tuple[str, Metric, str]
 def markdown(result: RunEvaluation) -> str:
     """Return one evaluation: who was evaluated, the paper's tables, all else that was measured."""
     run = result.run
-    others = "test objects" if run.on is None else f"objects of {run.on}, none trained on"
+    others = "test objects" if run.on is None else f"objects of {run.on}"
     poses = "canonical poses" + (", and by all" if run.label_poses == "both" else "")
     about = (
         f"{run.category}: {result.objects} {others}, {result.instances} instances. "
