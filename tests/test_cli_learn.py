@@ -11,6 +11,8 @@ from PIL import Image
 from ppd_data import write_boxes
 
 from articugen.cli.saying import command
+from articugen.evaluation.results import RunEvaluation
+from articugen.learning.commands import draw, evaluation_folder
 
 RECIPE = """
 extends: ppd_plain
@@ -106,6 +108,11 @@ def test_evaluate_predict(folder, monkeypatch):
     done = articugen("predict", runs / "box", shard, "--out", folder / "rig", "--resolution", 16)
     assert done.exit_code in (0, 1), done.output
     assert (done.exit_code == 0) == (folder / "rig" / "predicted.urdf").is_file()
+
+
+def test_an_evaluation_bears_the_data_set_s_name_wherever_one_stands(folder, monkeypatch):
+    monkeypatch.chdir(folder / "data")
+    assert evaluation_folder("../runs/box", on=".").name == "evaluation-on-data"
 
 
 def test_seeds_race_and_a_race_resumes(folder):

@@ -227,7 +227,8 @@ def evaluation_folder(
 ) -> Path:
     """Return where `evaluate` writes to."""
     parts = ["evaluation", *([] if protocol == "paper" else [protocol])]
-    return newest(run) / "-".join([*parts, *([] if on is None else ["on", Path(on).name])])
+    parts += [] if on is None else ["on", os.path.basename(os.path.abspath(on))]
+    return newest(run) / "-".join(parts)
 
 
 def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]:
