@@ -162,6 +162,10 @@ def test_depth_input_and_the_release_s_protocol(folder, monkeypatch):
     assert "| ppd_depth_quick, depth |" in done.output
     result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
     assert (result["run"]["input"], result["run"]["method"]) == ("depth", "ppd_depth")
+    for name, few in (("OBJECTS", 1), ("STEPS", 2)):
+        monkeypatch.setattr(f"articugen.evaluation.figures.{name}", few)
+    drawn = draw(run, data, RunEvaluation.model_validate_json(json.dumps(result)))
+    assert {path.parent.name for path in drawn} == {"evaluation-release"}
     rig = ("--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)
     done = articugen("predict", run, data / "test-00002.h5", *rig)
     assert (done.exit_code, "sees no surface" in done.output) in ((0, False), (1, True))

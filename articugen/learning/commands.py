@@ -241,14 +241,14 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]
     from articugen.evaluation import figures  # noqa: PLC0415
 
     on = Path(result.run.on) if result.run.on else None
-    folder, learner = evaluation_folder(run, on=on), read_checkpoint(newest(run) / LATEST).learner()
+    folder = evaluation_folder(run, result.run.protocol, on)
+    learner = read_checkpoint(newest(run) / LATEST).learner()
     paths = [folder / "reconstructions.png"]
-    finer = _finer(result)
-    reconstruct = partial(learner.reconstruct, resolution=finer)
+    reconstruct = partial(learner.reconstruct, resolution=_finer(result))
     figures.draw_reconstructions(paths[0], Path(data), reconstruct, result, on=on)
     if between := getattr(learner, "between", None):  # what tells shapes and poses apart
         paths.append(folder / "interpolations.png")
-        between = partial(between, resolution=finer)
+        between = partial(between, resolution=_finer(result))
         figures.draw_interpolations(paths[1], Path(data), between, result, on=on)
     return paths
 
