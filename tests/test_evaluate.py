@@ -138,6 +138,17 @@ def test_labels_and_surfaces_are_measured_on_a_finer_grid_as_well(boxes):
     assert means["finer_chamfer_l1"] < 1e-9 < means["chamfer_l1"]
 
 
+def test_parts_without_a_surface_move_as_predicted(boxes):
+    def unseen(instance):
+        exact = truth(instance)
+        none = {"triangles": exact.triangles[:0], "part": exact.part[:0]}
+        return replace(exact, **none) if instance.object_id in ("box-2", "box-3") else exact
+
+    means = evaluate(boxes, unseen, FEW).means
+    assert means["label_iou"] == 0.0
+    assert means["epe_transform_all"] < 1e-9 < means["epe_nothing_moves"]
+
+
 def test_nothing_predicted_counts_as_failed(boxes):
     result = evaluate(boxes, nothing, FEW)
     means = result.means

@@ -1,8 +1,8 @@
 """The paper's evaluation over the test objects of a data set; nothing is dropped.
 
 Labels are given to predicted parts by votes of training instances (Appendix C). A test instance
-without any predicted surface scores a label IoU of 0; a true part without a predicted one is taken
-not to move; distances to what is missing count as the unit cube's diagonal.
+without any predicted surface scores a label IoU of 0; its parts move as predicted. A true part that
+none is voted for is taken not to move; distances to what is missing count as the cube's diagonal.
 """
 
 from collections import deque
