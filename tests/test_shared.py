@@ -133,3 +133,6 @@ def test_the_command_judges_what_a_data_set_shares(tmp_path: Path) -> None:
     both = run("discover", data, "--shared", "--groups")
     assert both.exit_code == 1
     assert "ask one at a time" in " ".join(both.output.split())
+    for choice in ("--view", "--poses"):
+        done = run("discover", data, "--shared", choice, 2)
+        assert "take neither --view nor --poses" in " ".join(done.output.split())

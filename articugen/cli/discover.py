@@ -65,8 +65,8 @@ def discover(
 
     if groups and shared:
         raise InvalidArgument("--groups and --shared are two questions; ask one at a time")
-    if view is not None and (groups or shared):
-        raise InvalidArgument("--groups and --shared need whole surfaces; leave out --view")
+    if (view, poses) != (None, None) and (groups or shared):
+        raise InvalidArgument("--groups and --shared take neither --view nor --poses")
     needs = "--groups" if groups else "--shared" if shared else "" if view is None else "--view"
     found_joints.check_poses(paths, option=needs)
     if output is not None:
