@@ -101,7 +101,9 @@ def train(
 def train_depth(
     run: Path = RUN,
     data: Path = DATA,
-    recipe: str = option("ppd_depth_quick", "ppd_depth is longer; or a YAML file.", "-r"),
+    recipe: str | None = option(
+        None, "ppd_depth is longer; or a YAML file.", "-r", show_default="ppd_depth_quick"
+    ),
     changes: Sequence[str] = CHANGES,
     runs: Path = option(Path("runs-depth"), "Where the new run goes, as for train."),
     resume: Path | None = option(None, "Go on with this run instead."),
@@ -112,12 +114,12 @@ def train_depth(
     with loading():
         from articugen.learning.commands import RunFolder, newest
 
-    teacher = newest(run)
+    teacher, recipe = newest(run), recipe or (None if resume else "ppd_depth_quick")
     train(
         category=RunFolder(teacher).about()["category"],
         data=[data],
         recipe=recipe,
-        changes=[*changes, f"teacher={json.dumps(str(teacher))}"],
+        changes=[*changes, *([f"teacher={json.dumps(str(teacher))}"] if recipe else [])],
         runs=runs,
         resume=resume,
         device=device,
@@ -263,8 +265,7 @@ def predict(
         say(predicted.cloud.hint, to=stderr)
     for line in predicted.lines():
         say(line)
-    cut = "".join(f", {path.name}" for path in predicted.cut)
-    say(f"written: {predicted.path}{cut}")
+    say(", ".join([f"written: {predicted.path}", *(path.name for path in predicted.cut)]))
 
 
 @offered()
