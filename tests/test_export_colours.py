@@ -54,6 +54,25 @@ def exported(data, to, folder):
     return path
 
 
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_part_without_a_shape_is_a_node_alone_or_its_object_is_left_out(tmp_path, to):
+    """One model in colours, one without."""
+    joint = URDF[URDF.index("  <joint") : URDF.index("</robot>")]
+    joint = joint.replace('"slide"', '"lift"').replace('"wall"', '"sled"')
+    hung = URDF.replace('child link="bolt"', 'child link="sled"')
+    hung = hung.replace("</robot>", f'<link name="sled"/>{joint}</robot>')
+    plain = re.sub(r"(?s)<material.*?</material>|<material name=.blue./>", "", hung)
+    for number, text in enumerate((hung, plain)):
+        files = {"slide.urdf": text, "box.obj": BOX, "box.mtl": MTL if text is hung else ""}
+        data = data_set(tmp_path / str(number), files)
+        if to == "glb":
+            said, _ = chunks(exported(data, to, data))
+            assert [len(said["nodes"]), len(said["meshes"])] == [4, 2]
+            continue
+        with pytest.raises(ag.ArticugenError, match="slide: part 'sled' has no shape, and so no"):
+            exported(data, to, data)
+
+
 def displayed(linear):
     """sRGB bytes of linear light, which must be bytes all but exactly."""
     x = np.asarray(linear, np.float64)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
-from articugen.export.items import Item, canonical
+from articugen.export.items import Item, LeftOut, canonical
 from articugen.export.parts import (
     MetricJoint,
     metric_joints,
@@ -78,6 +78,8 @@ def bodies(item: Item, target: Files) -> tuple[Body, ...]:
     at = [np.zeros(3), *(joint.pivot for joint in joints)]
     built, fits = [], []
     for part, solid in enumerate(part_solids(item.rows, target.options, colours=True)):
+        if not len(solid.mesh.faces):
+            raise LeftOut(f"{row.object_id}: part {names[part]!r} has no shape, and so no mass")
         mesh, *closed = (
             replace(one, vertices=row.to_metres(one.vertices) - at[part])
             for one in (solid.mesh, *solid.closed)

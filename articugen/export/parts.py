@@ -5,7 +5,7 @@ A shard holds samples, no surface. So a part's mesh comes from the part's own so
 its model as `verify --replay` does; or, where that cannot be, from the finest grid that is stored.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,18 +67,16 @@ def picture_of(look: Look) -> bytes:
     return b"" if look.picture is None else png_of(look.picture)
 
 
-def _from_grid(row: Row) -> tuple[Mesh, ...]:
+def _from_grid(row: Row) -> Iterator[Mesh]:
     if not row.grids:
         raise LeftOut(f"{row.object_id}: no occupancy grid is stored")
     resolution = max(row.grids)
     label = row.grids[resolution]
-    meshes = []
     for part in range(len(row.parts)):
         inside = label == part + 1
         if not inside.any():
             raise LeftOut(f"{row.object_id}: part {part} has no voxel in the {resolution}^3 grid")
-        meshes.append(zero_level(np.where(inside, 1.0, -1.0)))
-    return tuple(meshes)
+        yield zero_level(np.where(inside, 1.0, -1.0))
 
 
 def part_boxes(rows: DataSet) -> Floats:

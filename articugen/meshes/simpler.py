@@ -54,7 +54,7 @@ def mesh_of(solid: manifold3d.Manifold) -> Mesh:
 def simpler(mesh: Mesh, tolerance: float) -> Mesh:
     """Return a watertight mesh that lies within about `tolerance` of a watertight `mesh`, as do the
     borders of its colours."""
-    if mesh.colours is None:
+    if mesh.colours is None or not len(mesh.faces):
         solid = manifold(mesh)
         watertight = solid.status() == manifold3d.Error.NoError
         return mesh_of(solid.simplify(tolerance)) if watertight else mesh
