@@ -174,6 +174,12 @@ def test_any_model_stands_where_mujoco_has_it(tmp_path_factory, random):
             np.testing.assert_allclose([joint.lower, joint.upper], compiled.jnt_range[k])
 
 
+def test_a_range_without_length_undoes_that_of_a_class_as_in_mujoco(tmp_path):
+    path = model(tmp_path, HINGED.replace("0 90", "0 0"), '<default><joint range="0 9"/></default>')
+    (joint,) = load_path(path).moving_joints
+    assert (joint.kind, joint.lower, joint.upper) == (JointKind.CONTINUOUS, -np.inf, np.inf)
+
+
 def test_a_model_is_put_together_of_files_in_its_folder(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "asset.xml").write_text(

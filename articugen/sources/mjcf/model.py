@@ -174,10 +174,8 @@ class Model:
         scale = document.unit if word == "hinge" else 1.0
         rest = document.numbers(joint, "ref", (1,), "0")[0] * scale
         lower, upper = document.numbers(joint, "range", (2,), "0 0", infinite=True)
-        limited = joint.get("limited", "auto")
-        if limited == "auto":
-            limited = "true" if document.autolimits and "range" in joint.attrib else "false"
-        if limited != "true":
+        limited = {"true": True, "auto": document.autolimits and lower != upper}
+        if not limited.get(joint.get("limited", "auto")):
             kind = JointKind.CONTINUOUS if word == "hinge" else JointKind.PRISMATIC
             return kind, -np.inf, np.inf, rest
         if not lower < upper:
