@@ -174,6 +174,13 @@ def test_any_model_stands_where_mujoco_has_it(tmp_path_factory, random):
             np.testing.assert_allclose([joint.lower, joint.upper], compiled.jnt_range[k])
 
 
+def test_the_default_class_above_all_counts_for_all_whatever_its_name(tmp_path):
+    """Until version 3 MuJoCo took any."""
+    classes = '<default class="top"><joint type="slide"/><default class="low"/></default>'
+    obj = load_path(model(tmp_path, HINGED.replace("<geom", '<joint class="low"/><geom'), classes))
+    assert [str(joint.kind) for joint in obj.moving_joints] == ["prismatic", "prismatic"]
+
+
 def test_a_range_without_length_undoes_that_of_a_class_as_in_mujoco(tmp_path):
     path = model(tmp_path, HINGED.replace("0 90", "0 0"), '<default><joint range="0 9"/></default>')
     (joint,) = load_path(path).moving_joints

@@ -97,10 +97,12 @@ class Document(Check):
         }
         for element in self.root.iter("default"):
             above = element.getparent()
-            name = element.get("class", "") if above.tag == "default" else "main"
+            name = element.get("class", "" if above.tag == "default" else "main")
             if not name or (name in classes) != (name == "main"):
                 raise self.refuse(element, f"a second default class {quoted(name)}; rename it")
             defaults = classes[name] = dict(classes[above.get("class", "main")])
+            if above.tag != "default":  # as older versions have it, by any name
+                classes["main"] = defaults
             for child in (child for tag in _OF_CLASSES for child in element.findall(tag)):
                 defaults[child.tag] = merged = _merged(defaults[child.tag], child)
                 if max(map(len, merged.values()), default=0) > MAX_LETTERS:
