@@ -254,6 +254,13 @@ def test_dae_unit_is_applied_and_doctype_refused(tmp_path):
         read_mesh(write(tmp_path / "m.dae", good[:root] + b"<!DOCTYPE COLLADA>" + good[root:]))
 
 
+def test_a_dae_s_polygons_with_holes_are_refused_not_dropped(tmp_path):
+    good = trimesh.creation.box().export(file_type="dae")
+    pierced = good.replace(b"</mesh>", b"<polygons><ph><p>0 1 2</p><h>3</h></ph></polygons></mesh>")
+    with pytest.raises(InvalidSource, match="has polygons with holes, which are not read"):
+        read_mesh(write(tmp_path / "m.dae", pierced))
+
+
 def edited_glb(edit) -> bytes:
     """The GLB of a box with its JSON changed by `edit(document)`."""
     good = trimesh.creation.box().export(file_type="glb")
@@ -282,6 +289,9 @@ def position_in(document) -> int:
         (lambda d: d["bufferViews"][-1].update(byteLength=10**5), "export it again"),
         (lambda d: d["bufferViews"][0].update(byteOffset=-4), "negative"),
         (lambda d: d["meshes"][0]["primitives"][0].update(mode=6), "fans"),
+        (lambda d: d["nodes"][-1].update(skin=0), "skinned"),
+        (lambda d: d["meshes"][0].update(weights=[0.0, 0.5]), "morphed"),
+        (lambda d: d["nodes"][-1].update(extensions={"EXT_mesh_gpu_instancing": {}}), "instanced"),
         (lambda d: d["buffers"][0].update(uri="../outside.bin"), "leads out of"),
         (lambda d: d.pop("accessors"), "not a glTF document"),
     ],

@@ -62,8 +62,9 @@ def read_dae(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
         raise _broken(path, "its <unit> is not a number") from None
     if not 1e-9 <= meter <= 1e6:
         raise _broken(path, f"its <unit> of {meter:g} m is none")
-    if root.find(".//{*}instance_controller") is not None:
-        raise _broken(path, "has skinned meshes, which are not read")
+    for tag, what in (("instance_controller", "skinned meshes"), ("ph", "polygons with holes")):
+        if root.find(f".//{{*}}{tag}") is not None:
+            raise _broken(path, f"has {what}, which are not read")
     _check_dae_size(root, path)
     _remove(root, _UNUSED)
     scene_paint = _spared(path, lambda looks: materials.of_dae(tostring(root), looks, path, files))
@@ -238,14 +239,7 @@ def _baked(scene: Any, path: Path, kind: type) -> tuple[Floats, Ints, materials.
     return np.concatenate(vertices), np.concatenate(faces), shown
 
 
-class _Buffers(dict[str, bytes]):
-    """The resolver trimesh asks for the external buffers of a glTF file; it has no other files."""
-
-    def get(self, key: str, default: Any = None) -> Any:
-        return self[key]
-
-
-def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, _Buffers]:
+def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, dict[str, bytes]]:
     """Refuse a glTF document that trimesh would misread; return it, and the buffers it names."""
     try:
         document = json.loads(text)
@@ -255,7 +249,7 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, _Buffe
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"[:200]
         raise _broken(path, f"not a glTF document ({reason})") from None
-    buffers = _Buffers()
+    buffers: dict[str, bytes] = {}
     for name in names:
         if not isinstance(name, str):
             raise _broken(path, f"the uri of a buffer is {name!r}, not a text"[:200])
@@ -273,8 +267,13 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, _Buffe
 
 
 def _check_triangles(document: dict[str, Any], path: Path) -> list[int]:
-    """Return the triangles of each mesh; positions must be plain floats in a buffer."""
+    """Return the triangles of each mesh; positions must be plain floats in a buffer, and nothing
+    else may move them than the nodes."""
     faces = []
+    for moved in (*document.get("nodes", []), *document.get("meshes", [])):
+        instanced = "EXT_mesh_gpu_instancing" in moved.get("extensions", ())
+        if instanced or "skin" in moved or any(moved.get("weights", ())):
+            raise _broken(path, "has instanced, skinned or morphed meshes, which are not read")
     for mesh in document.get("meshes", []):
         faces.append(0)
         for primitive in mesh["primitives"]:
