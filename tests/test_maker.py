@@ -91,8 +91,9 @@ def test_what_a_data_set_holds_is_what_a_maker_makes(folder, maker, tmp_path):
     assert list(maker[-1].surface.part) == list(data[2].surface.part)
     assert [made.state_index for made in maker[1:]] == [1, 2]
     assert set(maker[0].state.values()) == {0.0}
-    with pytest.raises(IndexError, match="no state 3, there are 3"):
-        maker[3]
+    for wrong in (3, -4, 1.5):
+        with pytest.raises(IndexError, match=f"no state {wrong}, there are 3"):
+            maker[wrong]
 
 
 def test_a_joint_state_by_name(maker, inst):

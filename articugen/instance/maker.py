@@ -304,10 +304,9 @@ class Maker(Sequence[Made]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
-        at = int(index) + (len(self) if index < 0 else 0)
-        if not 0 <= at < len(self):
+        if index not in range(-len(self), len(self)):
             raise IndexError(f"{self.obj.object_id}: no state {index}, there are {len(self)}")
-        return Made(self.prepared, at)
+        return Made(self.prepared, range(len(self))[index])
 
     def __iter__(self) -> Iterator[Made]:
         return (self[i] for i in range(len(self)))
