@@ -176,6 +176,8 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
     assert ids(refs, "train") == ["a", "c", "d"]
     assert ids(refs, "test") == ["b"]
     assert load(refs[0]).source == "mine"
+    with pytest.raises(InvalidSource, match=r"no object 'q' of 'lamp'; there are: a, b, c, d$"):
+        open_source("mine").objects("lamp", ids=["q"])
 
 
 def add_many(folder: Path) -> None:

@@ -424,7 +424,7 @@ def _listed(source: str | Path, category: str, _folder: str) -> dict[str, Object
 
 
 def _check_ids(wanted: Collection[str], known: list[str], category: str) -> None:
-    for name in wanted:
-        if name not in known:
-            hint = nearest(name, known) or f"; there are: {', '.join(known[:5])}, ..."
-            raise InvalidSource(f"no object {name!r} of {category!r}{hint}")
+    for name in (name for name in wanted if name not in known):
+        there = ", ".join(known[:5] + ["..."] * (len(known) > 5))
+        hint = nearest(name, known) or f"; there are: {there}"
+        raise InvalidSource(f"no object {name!r} of {category!r}{hint}")
