@@ -170,12 +170,15 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
     add(
         own_sources / "mine" / "source.yaml",
         "{origin: x, licence: x, frame: x, path: ../../models,"
-        " categories: {lamp: {test: [b, zz]}}}",
+        " categories: {lamp: {test: [b, zz], canonical: upper}}}",
     )
-    refs = open_source("mine").objects("lamp")
-    assert ids(refs, "train") == ["a", "c", "d"]
-    assert ids(refs, "test") == ["b"]
-    assert load(refs[0]).source == "mine"
+    for source in ("mine", str(own_sources / "mine"), own_sources / "mine"):
+        refs = open_source(source).objects("lamp")
+        assert ids(refs, "train") == ["a", "c", "d"]
+        assert ids(refs, "test") == ["b"]
+        assert load(refs[0]).source == str(source)
+        assert open_source(source).find("lamp", "b").settings == refs[0].settings
+        assert refs[0].settings.canonical == "upper"
     with pytest.raises(InvalidSource, match=r"no object 'q' of 'lamp'; there are: a, b, c, d$"):
         open_source("mine").objects("lamp", ids=["q"])
 

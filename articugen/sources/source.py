@@ -36,7 +36,7 @@ Counts = Callable[[ObjectRef], bool]
 
 @dataclass(frozen=True)
 class Source:
-    """A named source, or a folder or file that no source.yaml describes.
+    """A named source, a folder with a source.yaml, or a folder or file that none describes.
 
     Attributes:
         name: by which it was opened; of a path its text.
@@ -343,17 +343,18 @@ def open_source(source: str | Path) -> Source:
     Raises:
         InvalidSource: there is none; its source.yaml is wrong.
     """
-    yaml = source_files().get(source) if isinstance(source, str) else None
-    if yaml is not None:
-        name, file, users = str(source), read_source_file(yaml), users_folder()
-        folder = yaml.parent / (file.path or "")
-        if not file.path and users and (users / name).is_dir():
-            folder = users / name
-        return Source(name, folder, yaml, file)
-    if readers.UNWRITABLE.search(str(source)):
+    named = source_files().get(source) if isinstance(source, str) else None
+    if named is None and readers.UNWRITABLE.search(str(source)):
         raise InvalidSource(
             f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
         )
+    yaml = named or Path(source, "source.yaml")
+    if os.path.isfile(yaml):
+        name, file, users = str(source), read_source_file(yaml), users_folder()
+        folder = yaml.parent / (file.path or "")
+        if named and not file.path and users and (users / name).is_dir():
+            folder = users / name
+        return Source(name, folder, yaml, file)
     if not os.path.exists(source):
         absent = unlisted("source", str(source), sorted(source_files()))
         raise InvalidSource(f"{absent}, or the path of a folder of URDFs")
