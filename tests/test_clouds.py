@@ -29,6 +29,8 @@ def written(folder, suffix: str, cloud: np.ndarray):
         np.save(path, cloud)
     elif suffix == ".npz":
         np.savez(path, points=cloud, colour=np.zeros(3))
+    elif suffix == "0.npz":
+        np.savez(path, cloud)
     else:
         np.savetxt(path, np.hstack([cloud, np.ones_like(cloud)]))  # normals follow
     return path
@@ -38,7 +40,7 @@ def in_order(cloud: np.ndarray) -> np.ndarray:
     return cloud[np.lexsort(cloud.T)]
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".npy", ".npz", ".xyz"])
+@pytest.mark.parametrize("suffix", [".ply", ".npy", ".npz", "0.npz", ".xyz"])
 def test_every_format_gives_the_same_points(tmp_path, suffix):
     path = written(tmp_path, suffix, points())
     cloud = cloud_of_file(path)

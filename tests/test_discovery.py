@@ -371,7 +371,7 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
     assert np.abs(np.array(joint["states"]) - angles).max() < 0.05
     (again,) = ag.discover(grids).joints
     assert again.states.tolist() == joint["states"]
-    slides = ag.discover(grids, joints=["prismatic"]).joints
+    slides = ag.discover(grids, joints="prismatic").joints
     assert JointKind.REVOLUTE not in {joint.kind for joint in slides}
 
 
@@ -385,6 +385,7 @@ def test_grids_are_as_good_as_clouds(tmp_path: Path) -> None:
         (["a.npy", "c.obj"], "neither a shard"),
         (["a.npy", "empty.npy"], "no voxel of the grid is occupied"),
         (["a.npy", "b.npy", "--joints", "screw"], "'screw': revolute, prismatic"),
+        (["a.npy", "b.npy", "--poses", "2"], "--poses: give one data set's folder or shard"),
     ],
 )
 def test_the_command_says_what_is_wrong(files, sentence, tmp_path, monkeypatch):

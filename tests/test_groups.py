@@ -147,7 +147,7 @@ def test_the_command_wants_a_data_set_for_groups(tmp_path):
     cloud.touch()
     done = run("discover", cloud, "--groups")
     assert done.exit_code != 0
-    assert "needs one data set" in " ".join(done.output.split())
+    assert "give one data set" in " ".join(done.output.split())
 
 
 def test_poses_that_are_of_no_one_object_teach_no_motion(tmp_path):

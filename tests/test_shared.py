@@ -129,7 +129,7 @@ def test_the_command_judges_what_a_data_set_shares(tmp_path: Path) -> None:
     assert "2 objects say little" in few.output
     np.save(tmp_path / "a.npy", np.zeros((99, 3)))
     files = run("discover", tmp_path / "a.npy", "--shared")
-    assert "--shared needs one data set's folder or shard" in " ".join(files.output.split())
+    assert "--shared: give one data set's folder or shard" in " ".join(files.output.split())
     both = run("discover", data, "--shared", "--groups")
     assert both.exit_code == 1
     assert "ask one at a time" in " ".join(both.output.split())

@@ -67,8 +67,9 @@ def discover(
         raise InvalidArgument("--groups and --shared are two questions; ask one at a time")
     if (view, poses) != (None, None) and (groups or shared):
         raise InvalidArgument("--groups and --shared take neither --view nor --poses")
-    needs = "--groups" if groups else "--shared" if shared else "" if view is None else "--view"
-    found_joints.check_poses(paths, option=needs)
+    options = {"--groups": groups, "--shared": shared, "--view": view, "--poses": poses}
+    needs = [name for name, value in options.items() if value not in (None, False)]
+    found_joints.check_poses(paths, option=" ".join(needs))
     if output is not None:
         check_place(output)
     if groups:

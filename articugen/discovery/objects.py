@@ -84,7 +84,7 @@ def discover(
         normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
             where they are given.
         cameras: (K, 3) where the one that saw each cloud was, instead of normals.
-        joints: kinds that the object may have, of "revolute" and "prismatic"; none named is both.
+        joints: one or more kinds that the object may have, "revolute", "prismatic"; () is both.
 
     Raises:
         InvalidArgument: nothing can be found in them, or there is no such kind.
@@ -293,6 +293,7 @@ def group_all(data: str | os.PathLike[str] | DataSet) -> ObjectGroups:
 
 def _kinds(joints: Sequence[str]) -> tuple[JointKind, ...]:
     named = {str(kind): kind for kind in KINDS}
+    joints = [joints] if isinstance(joints, str) else joints
     for name in joints:
         if name not in named:
             raise InvalidArgument(f"no joint that can be found is {name!r}: {', '.join(named)}")
@@ -418,10 +419,7 @@ def check_poses(paths: Sequence[Path], *, option: str = "") -> None:
     which an `option` needs."""
     is_cloud = paths[0].is_file() and paths[0].suffix != ".h5"
     if option and (len(paths) > 1 or is_cloud):
-        raise InvalidArgument(
-            f"{option} needs one data set's folder or shard: files of clouds have neither normals "
-            "nor cameras"
-        )
+        raise InvalidArgument(f"{option}: give one data set's folder or shard, no files of clouds")
     if len(paths) == 1 and is_cloud:
         raise InvalidArgument(
             f"{paths[0]}: one pose shows no motion; give two or more, or the folder of a data set"

@@ -164,10 +164,10 @@ def _npy(data: bytes) -> Any:
 
 
 def _npz(data: bytes) -> Any:
-    """Return the array "points", or of a view as OP-Align has it what is detected, in the frame of
-    its first part, which all views of an object share."""
+    """Return the array "points", or one without a name; or of a view as OP-Align has it what is
+    detected, in the frame of its first part, which all views of an object share."""
     name, array = unpacked(data, "points", "arr_0")
-    if name == "points":
+    if name == "points" or b"'|O'" not in array[:128]:
         return _npy(array)
     view = view_of(array)
     return apply(invert_rigid(view.T_camera_part[0]), view.points)
