@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 import articugen as ag
+from articugen.core.seeding import generator
 from articugen.instance.maker import models
 
 TEN = {
@@ -66,7 +67,8 @@ def main() -> None:
                 continue
             print(line(name, row))  # noqa: T201
             rows.append(row)
-        print(summary(rows))  # noqa: T201
+        if rows:
+            print(summary(rows))  # noqa: T201
 
 
 def line(name: str, row: Errors) -> str:
@@ -108,7 +110,8 @@ def measured(model: ag.Model, pair: Sequence[float]) -> Errors:
     j = int(count[1:].argmax())
     low, high = maker.joints[j].lower, maker.joints[j].upper
     poses = [maker.at({maker.joints[j].name: low + share * (high - low)}) for share in pair]
-    R = np.linalg.qr(np.random.default_rng(j).normal(size=(3, 3)))[0]
+    rng = generator(0, "paris", model.object_id, str(pair))
+    R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     R *= np.linalg.det(R)
     clouds = [(pose.surface.points @ R.T, pose.surface.normals @ R.T) for pose in poses]
     began = time.process_time()
