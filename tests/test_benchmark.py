@@ -119,9 +119,3 @@ def test_axes_are_measured_as_paris_does(category, name):
     missed = paris.Errors(90.0, None, None, 0, 1.0)
     assert paris.summary([row, missed]).startswith("1 of 2 right; axes off by 45")
     assert "(PARIS 2.93)  missed" in paris.line("10905", missed)
-
-
-def test_the_distance_of_two_lines_is_the_least():
-    x, y, o = np.eye(3)[0], np.eye(3)[1], np.zeros(3)
-    assert paris.lines_apart(x, o, y, np.array([5.0, 7.0, 2.0])) == pytest.approx(2.0)
-    assert paris.lines_apart(x, o, -x, np.array([5.0, 3.0, 4.0])) == pytest.approx(5.0)

@@ -19,6 +19,7 @@ import numpy as np
 
 import articugen as ag
 from articugen.core.seeding import generator
+from articugen.evaluation.metrics import line_distance
 from articugen.instance.maker import models
 
 TEN = {
@@ -130,16 +131,8 @@ def measured(model: ag.Model, pair: Sequence[float]) -> Errors:
     scale = poses[0].scale
     if true.kind == "prismatic":
         return Errors(angle, None, off * scale, count, seconds)
-    apart = lines_apart(joint.axis, joint.pivot, axis, pivot)
+    apart = line_distance(joint.pivot, joint.axis, pivot, axis)
     return Errors(angle, 10.0 * scale * apart, float(np.degrees(off)), count, seconds)
-
-
-def lines_apart(u: np.ndarray, p: np.ndarray, v: np.ndarray, q: np.ndarray) -> float:
-    """Return the least distance of two lines, along unit vectors `u`, `v` through `p`, `q`."""
-    across, off = np.cross(u, v), q - p
-    if (sine := float(np.linalg.norm(across))) > 1e-9:
-        return abs(float(off @ across)) / sine
-    return float(np.linalg.norm(off - (off @ u) * u))
 
 
 if __name__ == "__main__":
