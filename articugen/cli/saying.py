@@ -130,7 +130,7 @@ def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
     bar = rich.Progress(
         rich.SpinnerColumn(),
         rich.BarColumn(),
-        rich.TextColumn("{task.completed}/{task.total}"),
+        rich.MofNCompleteColumn(),
         rich.TimeRemainingColumn(compact=True),
         rich.TextColumn("{task.description}"),
         console=stderr,
