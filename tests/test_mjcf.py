@@ -271,6 +271,15 @@ def test_joints_follow_by_linear_equalities_as_in_mujoco(tmp_path):
         load_path(model(tmp_path, bodies, '<equality><joint joint1="j9" joint2="j0"/></equality>'))
 
 
+def test_an_equality_is_as_active_as_its_class(tmp_path):
+    off = '<default><default class="off"><equality active="false"/></default></default>'
+    bodies = HINGED + HINGED.replace("door", "lid").replace("hinge", "other")
+    coupled = '<equality><joint class="off" joint1="hinge" joint2="other"/></equality>'
+    assert [j.mimic for j in load_path(model(tmp_path, bodies, off + coupled)).joints] == [None] * 2
+    coupled = coupled.replace("joint1", 'active="true" joint1')
+    assert load_path(model(tmp_path, bodies, off + coupled)).joints[0].mimic is not None
+
+
 def test_our_export_is_read_back_as_it_was(exported, rows):
     for row in rows:
         path = exported("mjcf", **MESHES) / row.split / row.object_id / f"{row.object_id}.xml"

@@ -14,6 +14,7 @@ TURNS = ("euler", "axisangle", "xyaxes", "zaxis")  # each stands for a quat
 
 _PLACE = ("pos", "quat", *TURNS)
 _OF_CLASSES = {
+    "equality": ("active",),
     "geom": (*_PLACE, "type", "size", "fromto", "mesh", "group", "rgba", "contype", "conaffinity"),
     "joint": ("type", "pos", "axis", "range", "limited", "ref"),
     "mesh": ("scale", "refpos", "refquat"),
@@ -91,10 +92,8 @@ class Document(Check):
             above[at : at + 1] = list(parse_xml(data, place))
 
     def _write_defaults(self) -> None:
-        """Give geoms, joints and meshes the attributes of their class that they lack."""
-        classes: dict[str, dict[str, Mapping[str, str]]] = {
-            "main": {tag: {} for tag in _OF_CLASSES}
-        }
+        """Give geoms, joints, meshes and equalities what they lack and their class has."""
+        classes = {"main": dict[str, Mapping[str, str]].fromkeys(_OF_CLASSES, {})}
         for element in self.root.iter("default"):
             above = element.getparent()
             name = element.get("class", "" if above.tag == "default" else "main")
@@ -104,26 +103,26 @@ class Document(Check):
             if above.tag != "default":  # as older versions have it, by any name
                 classes["main"] = defaults
             for child in (child for tag in _OF_CLASSES for child in element.findall(tag)):
-                defaults[child.tag] = merged = _merged(defaults[child.tag], child)
+                defaults[child.tag] = merged = _merged(defaults, child.tag, child)
                 if max(map(len, merged.values()), default=0) > MAX_LETTERS:
                     raise self.refuse(child, "has an endless attribute; correct it")
         class_of = {None: "main"}
         for element in self.root.iter("*"):
             parent = element.getparent()
             class_of[element] = element.get("childclass", class_of[parent])
-            if element.tag in _OF_CLASSES and parent.tag != "default":
+            tag = "equality" if getattr(parent, "tag", "") == "equality" else element.tag
+            if tag in _OF_CLASSES and parent.tag != "default":
                 name = element.get("class", class_of[parent])
                 if name not in classes:
                     raise self.refuse(element, f"unknown class {quoted(name)}; add or correct it")
-                element.attrib.update(_merged(classes[name][element.tag], element))
+                element.attrib.update(_merged(classes[name], tag, element))
 
 
-def _merged(defaults: Mapping[str, str], element: Any) -> dict[str, str]:
+def _merged(of: Mapping[str, Mapping[str, str]], tag: str, element: Any) -> dict[str, str]:
     """Return the attributes that count, an element's own first; of a size the numbers that are
     missing are the class's."""
-    attributes = {
-        key: element.get(key) for key in _OF_CLASSES[element.tag] if key in element.attrib
-    }
+    attributes = {key: element.get(key) for key in _OF_CLASSES[tag] if key in element.attrib}
+    defaults = of[tag]
     turned = TURNS if attributes.keys() & {"quat", *TURNS} else ()
     merged = {key: value for key, value in defaults.items() if key not in turned} | attributes
     words = attributes.get("size", "").split()
