@@ -217,6 +217,8 @@ def test_a_model_is_put_together_of_files_in_its_folder(tmp_path):
         ('<geom group="0" SEEN/><geom group="0"/>', 2),
         ('<geom group="3"/><geom group="4"/>', 2),
         ('<geom group="1" rgba="0 1 0 0" SEEN/><geom/>', 1),
+        ('<geom class="glass" SEEN/><geom/>', 1),
+        ('<geom class="glass" rgba="0 1 0 1"/><geom/>', 2),
         ('<geom/><geom/><geom type="plane" size="1 1 1"/>', 2),
     ],
 )
@@ -225,7 +227,8 @@ def test_what_is_seen_goes_before_what_collides(tmp_path, geoms, shown):
     path = model(
         tmp_path,
         f'<body name="b">{geoms}</body>',
-        '<default><geom type="box" size="1 1 1"/></default>',
+        '<default><geom type="box" size="1 1 1"/><default class="glass"><material rgba="0 1 0 0"/>'
+        '<geom material="m"/></default></default><asset><material name="m" class="glass"/></asset>',
     )
     obj = load_path(path)
     assert len(obj.links[1].mesh.faces) == 12 * shown

@@ -15,10 +15,12 @@ TURNS = ("euler", "axisangle", "xyaxes", "zaxis")  # each stands for a quat
 _PLACE = ("pos", "quat", *TURNS)
 _OF_CLASSES = {
     "equality": ("active",),
-    "geom": (*_PLACE, "type", "size", "fromto", "mesh", "group", "rgba", "contype", "conaffinity"),
+    "geom": (*_PLACE, "type", "size", "fromto", "mesh", "group", "rgba", "material", "contype",
+             "conaffinity"),
     "joint": ("type", "pos", "axis", "range", "limited", "ref"),
+    "material": ("rgba",),
     "mesh": ("scale", "refpos", "refquat"),
-}
+}  # fmt: skip
 """By tag, what of a default class counts."""
 
 _MOST = {
@@ -92,7 +94,7 @@ class Document(Check):
             above[at : at + 1] = list(parse_xml(data, place))
 
     def _write_defaults(self) -> None:
-        """Give geoms, joints, meshes and equalities what they lack and their class has."""
+        """Give elements what they lack and their class has, and geoms their material's rgba."""
         classes = {"main": dict[str, Mapping[str, str]].fromkeys(_OF_CLASSES, {})}
         for element in self.root.iter("default"):
             above = element.getparent()
@@ -116,6 +118,11 @@ class Document(Check):
                 if name not in classes:
                     raise self.refuse(element, f"unknown class {quoted(name)}; add or correct it")
                 element.attrib.update(_merged(classes[name], tag, element))
+        materials = {m.get("name"): m for m in self.root.iterfind("asset/material[@rgba]")}
+        for geom in self.root.iterfind(".//geom[@material]"):
+            if "rgba" not in geom.attrib and geom.get("material") in materials:
+                rgba = self.numbers(materials[geom.get("material")], "rgba", (4,))
+                geom.set("rgba", " ".join(map(repr, rgba)))
 
 
 def _merged(of: Mapping[str, Mapping[str, str]], tag: str, element: Any) -> dict[str, str]:

@@ -67,8 +67,7 @@ class Model:
             if body in bodies:
                 self._links[body] = self._hang(body, *bodies[body], joints.get(body, []))
             self._show(body, shown.get(body, []))
-        absent = {"tendon"} if document.root.find("tendon") is not None else set[str]()
-        absent |= set(self._couple())
+        absent = {e.tag for e in document.root.iterfind("tendon")} | set(self._couple())
         absent |= {f"a {g.get('type')}" for g in world.iter("geom") if g.get("type") in NO_SURFACE}
         if absent:
             self.notes.append(f"not read, left out: {', '.join(sorted(absent))}")

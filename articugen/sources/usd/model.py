@@ -1,7 +1,7 @@
 """One USD file to links, joints and triangles. Runs in a process of its own, see `apart`."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,10 +111,13 @@ class _Reading:
         )
 
     def _found(self) -> tuple[list[Any], list[Any], list[Any]]:
-        """Return the prims that are bodies, joints and shapes; InvalidSource for too many, or
-        none."""
+        """Return the prims that are bodies, joints and shapes, in the default prim where the file
+        names one; InvalidSource for too many, or none."""
         bodies, joints, shapes = list[Any](), list[Any](), list[Any]()
-        for prim in self._prims():
+        top = self._stage.GetDefaultPrim() or self._stage.GetPseudoRoot()
+        for number, prim in enumerate(pxr.Usd.PrimRange(top, pxr.Usd.TraverseInstanceProxies())):
+            if number >= MAX_PRIMS:
+                raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
             if prim.IsA(pxr.UsdPhysics.Joint):
                 joints.append(prim)
             elif self._shapes.shown(prim):
@@ -132,15 +135,6 @@ class _Reading:
                 "model"
             )
         return bodies, joints, shapes
-
-    def _prims(self) -> Iterator[Any]:
-        """Yield the prims of the default prim, where the file names one; shared instances once
-        each."""
-        top = self._stage.GetDefaultPrim() or self._stage.GetPseudoRoot()
-        for number, prim in enumerate(pxr.Usd.PrimRange(top, pxr.Usd.TraverseInstanceProxies())):
-            if number >= MAX_PRIMS:
-                raise InvalidSource(f"{self._path}: has more than {MAX_PRIMS:,} prims; simplify it")
-            yield prim
 
     def _names(self, prims: Sequence[Any]) -> list[str]:
         """Return a name of each prim, the shown one where it has one; those that share one by their
