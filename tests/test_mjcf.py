@@ -351,6 +351,7 @@ WEDGES = '<asset><mesh name="w" file="meshes/wedge.obj"/></asset>'
         (BOX.replace("size", 'quat="0 0 0 0" size'), "", "is zero; correct it"),
         (BOX.replace("size", 'pos="1e9 0 0" size'), "", "is beyond 1,000,000"),
         (f'<replicate count="9">{BOX}</replicate>', "", "save the model with MuJoCo first"),
+        (BOX, '<asset><mesh name="m" builtin="cone"/></asset>', "'m': a <mesh> that MuJoCo builds"),
         (f"<site>{BOX}</site>", "", "is in a <site>"),
         ('<geom type="plane" size="1 1 1"/>', "", "shows no geom"),
         (LONG.replace("<geom", "<joint/><geom"), "", "is too long"),

@@ -27,7 +27,7 @@ _MOST = {
     "body": MAX_LINKS, "joint": MAX_LINKS, "frame": MAX_LINKS,
     "geom": MAX_VISUALS, "mesh": MAX_VISUALS,
 }  # fmt: skip
-_MADE = ("attach", "replicate", "composite", "flexcomp")  # MuJoCo makes bodies of them
+_MADE = ("attach", "replicate", "composite", "flexcomp", "mesh[@builtin]")
 
 
 class Document(Check):
@@ -52,10 +52,9 @@ class Document(Check):
         self.world = worlds[0]
         self.world.set("name", "world")
         self.world.extend([child for other in worlds[1:] for child in other])
-        for generated in root.iter(*_MADE):
-            raise self.refuse(
-                generated, f"<{generated.tag}> is not read; save the model with MuJoCo first"
-            )
+        for element in (element for tag in _MADE for element in root.iterfind(f".//{tag}")):
+            what = f"a <{element.tag}> that MuJoCo builds"
+            raise self.refuse(element, f"{what} is not read; save the model with MuJoCo first")
         for tag, most in _MOST.items():
             self.count(list(root.iter(tag)), f"<{tag}>", most)
         settings: dict[str, str] = {"angle": "degree", "eulerseq": "xyz", "coordinate": "local"}
