@@ -261,6 +261,14 @@ def test_a_dae_s_polygons_with_holes_are_refused_not_dropped(tmp_path):
         read_mesh(write(tmp_path / "m.dae", pierced))
 
 
+@pytest.mark.parametrize("word", ["lookat", "skew"])
+def test_a_dae_s_shapes_that_lookat_or_skew_would_place_are_refused(tmp_path, word):
+    good = trimesh.creation.box().export(file_type="dae")
+    placed = good.replace(b"<instance_geometry", f"<{word}/><instance_geometry".encode())
+    with pytest.raises(InvalidSource, match=f"has shapes placed by <{word}>, which are not read"):
+        read_mesh(write(tmp_path / "m.dae", placed))
+
+
 def edited_glb(edit) -> bytes:
     """The GLB of a box with its JSON changed by `edit(document)`."""
     good = trimesh.creation.box().export(file_type="glb")

@@ -62,23 +62,25 @@ def read_dae(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
         raise _broken(path, "its <unit> is not a number") from None
     if not 1e-9 <= meter <= 1e6:
         raise _broken(path, f"its <unit> of {meter:g} m is none")
-    for tag, what in (("instance_controller", "skinned meshes"), ("ph", "polygons with holes")):
+    for tag, what in (
+        ("instance_controller", "skinned meshes"),
+        ("ph", "polygons with holes"),
+        ("node[{*}lookat]//{*}instance_geometry", "shapes placed by <lookat>"),
+        ("node[{*}skew]//{*}instance_geometry", "shapes placed by <skew>"),
+    ):
         if root.find(f".//{{*}}{tag}") is not None:
             raise _broken(path, f"has {what}, which are not read")
     _check_dae_size(root, path)
     _remove(root, _UNUSED)
     scene_paint = _spared(path, lambda looks: materials.of_dae(tostring(root), looks, path, files))
     _remove(root, _LOOKS)
-    vertices, faces, paint = _through_trimesh(
-        tostring(root), path, scene_paint, ignore_broken=False
-    )
-    return vertices * meter, faces, paint
+    baked = _through_trimesh(tostring(root), path, scene_paint, ignore_broken=False)
+    return baked[0] * meter, *baked[1:]
 
 
 def _remove(root: Any, names: tuple[str, ...]) -> None:
-    for name in names:
-        for element in root.findall(f".//{{*}}{name}"):
-            element.getparent().remove(element)
+    for element in list(root.iter(*(f"{{*}}{name}" for name in names))):
+        element.getparent().remove(element)
 
 
 _LOOKS = ("library_images", "library_effects", "library_materials", "bind_material")
