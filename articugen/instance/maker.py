@@ -336,7 +336,7 @@ class Maker(Sequence[Made]):
             if joint.mimic and not abs(values.get(joint.name, q) - q) <= _TIE * max(1.0, abs(q)):
                 raise InvalidArgument(
                     f"{self.obj.object_id}: joint {joint.name!r} follows {joint.mimic.joint!r}, "
-                    f"which puts it at {q:g}; give that alone"
+                    f"which puts it at {q:.9g}; give that alone"
                 )
         for index, known in enumerate(self.prepared.states):
             if np.allclose(driven.q, known.q, rtol=_SAME, atol=0.0):
@@ -358,7 +358,7 @@ class Maker(Sequence[Made]):
         joint = known.get(name)
         if joint is None:
             raise InvalidArgument(
-                f"{self.obj.object_id}: no joint {name!r} moves{nearest(name, list(known))}; "
+                f"{self.obj.object_id}: no joint {name!r} moves{nearest(str(name), list(known))}; "
                 f"those that do: {', '.join(known)}"
             )
         unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
@@ -370,8 +370,8 @@ class Maker(Sequence[Made]):
         lower, upper = min(joint.lower, 0.0), max(joint.upper, 0.0)
         if not lower - _TIE <= value <= upper + _TIE:
             raise InvalidArgument(
-                f"{self.obj.object_id}: joint {name!r} at {value:g} {unit} is outside its range, "
-                f"{lower:g} to {upper:g}; choose one in it, or widen articulation in the recipe"
+                f"{self.obj.object_id}: joint {name!r} at {value:.9g} {unit} is outside its range, "
+                f"{lower:.9g} to {upper:.9g}; choose one in it, or widen articulation in the recipe"
             )
 
     def _made(self, state: JointState) -> Made:
