@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.arrays import grouped
 from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.geometry import area_vectors
 from articugen.core.portable import norm
@@ -140,9 +141,7 @@ def draw_examples(path: Path, examples: Sequence[Example]) -> None:
     Raises:
         ArticugenError: `path` cannot be written.
     """
-    groups: dict[tuple[str, Path], list[Example]] = {}
-    for example in examples:
-        groups.setdefault((example.category, example.data), []).append(example)
+    groups = grouped(((example.category, example.data), example) for example in examples)
     sheets = []
     for (category, data), group in groups.items():
         instances = by_opening(next(objects_of(data, "test", INSTANCES - 1)))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from articugen.core.arrays import grouped
 from articugen.evaluation import paper
 from articugen.evaluation.results import EvaluatedRun, Evaluation, JointLine, RunEvaluation
 
@@ -343,9 +344,7 @@ def _details(result: Evaluation) -> list[str]:
 
 def _objects(result: Evaluation) -> list[str]:
     """Return a row an object, means over its instances, the worst labels first."""
-    rows: dict[str, list[Mapping[str, float]]] = {}
-    for row in result.measures:
-        rows.setdefault(row.object, []).append(row.values)
+    rows = grouped((row.object, row.values) for row in result.measures)
     columns = [m for m in _OF_OBJECTS if any(m.name in row.values for row in result.measures)]
     table = []
     for name, values in rows.items():

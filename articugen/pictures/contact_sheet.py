@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError
 from articugen.core.records import JointKind, dequantize
@@ -107,9 +107,7 @@ def portraits(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         read = pool.map(lambda one: _read(one, states, pooling), chosen)
         objects = list(zip(chosen, read, strict=True))
-        widest: dict[str, list[Instance]] = {}
-        for one, (instances, _) in objects:
-            widest.setdefault(one.category, []).append(instances[-1])
+        widest = grouped((one.category, instances[-1]) for one, (instances, _) in objects)
         azimuth = {name: best_azimuth(evenly(many, ASKED)) for name, many in widest.items()}
         tiles: list[tuple[Surfels, Instance, Camera, float]] = []
         for one, (instances, discs) in objects:

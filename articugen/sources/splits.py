@@ -4,6 +4,7 @@ import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 
+from articugen.core.arrays import grouped
 from articugen.sources.refs import Share
 
 TEST_FRACTION = 0.2  # of the objects of a source that says nothing about splits
@@ -60,9 +61,7 @@ def _test_groups(
 ) -> set[str]:
     """Return the groups whose hash, as a number in [0, 1), is below `fraction`; see
     `assign_splits`."""
-    members: dict[str, list[str]] = {}
-    for name, group in group_of.items():
-        members.setdefault(group, []).append(name)
+    members = grouped((group, name) for name, group in group_of.items())
     ranked = sorted((hashlib.sha256(os.fsencode(name)).digest(), name) for name in members)
     places, names = range(len(ranked)), [name for _, name in ranked]
     count = sum(int.from_bytes(digest[:8], "big") < fraction * 2.0**64 for digest, _ in ranked)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import rotation_from_rpy, transform
 from articugen.core.portable import norm
@@ -167,9 +168,7 @@ def _rotation(rpy: str) -> Floats:
 def _topological(joints: list[Any]) -> list[Any]:
     """Return each joint after the joint its parent hangs on, else in the order of the file."""
     children = {joint.child for joint in joints}
-    hanging: dict[str, list[int]] = {}
-    for i, joint in enumerate(joints):
-        hanging.setdefault(joint.parent, []).append(i)
+    hanging = grouped((joint.parent, i) for i, joint in enumerate(joints))
     ready = [i for i, joint in enumerate(joints) if joint.parent not in children]
     ordered: list[Any] = []
     while ready:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, InvalidArgument
 from articugen.core.recipe import Recipe
 from articugen.core.yaml_files import nearest
@@ -167,9 +168,7 @@ class DataSet(Sequence[Row]):
 
     def by_object(self) -> Iterator[tuple[str, "DataSet"]]:
         """Yield each object's id, and its instances, in the order of `objects`."""
-        where: dict[str, list[int]] = {}
-        for index, name in enumerate(self._object_ids()):
-            where.setdefault(name, []).append(index)
+        where = grouped((name, index) for index, name in enumerate(self._object_ids()))
         yield from ((name, self[indices]) for name, indices in where.items())
 
     def __fspath__(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from articugen.core import schema
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
 from articugen.core.yaml_files import unlisted
 from articugen.store.bucket import Remote, is_url
@@ -52,9 +53,7 @@ class _Entry:
 
 def _entries(folder: Path | Remote, manifest: Manifest) -> Iterator[_Entry]:
     """Yield entries by the manifest; a shard of one object need not be opened for it."""
-    inside: dict[str, list[Any]] = {}
-    for entry in manifest.objects:
-        inside.setdefault(entry.shard, []).append(entry.key)
+    inside = grouped((entry.shard, entry.key) for entry in manifest.objects)
     for shard in manifest.shards:
         keys = inside[shard.name]
         if len(keys) == 1:

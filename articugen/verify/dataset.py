@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from articugen.core import processes
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, spelt_out
 from articugen.core.files import read_regular
 from articugen.core.recipe import Recipe
@@ -101,9 +102,7 @@ def verify(folder: Path, *, jobs: int = 1, on_shard: Callable[[str], None] | Non
     recipe = recipe_of(manifest.recipe)
     about = {name: getattr(manifest, name) for name in ("category", "source", "licence", "seed")}
     about |= {"recipe": recipe.for_one_object().text()} if recipe else {}
-    contents: dict[str, list[ObjectEntry]] = {}
-    for entry in manifest.objects:
-        contents.setdefault(entry.shard, []).append(entry)
+    contents = grouped((entry.shard, entry) for entry in manifest.objects)
     looked = processes.in_order(
         partial(_shard_findings, folder, about),
         [(shard, contents[shard.name]) for shard in manifest.shards],

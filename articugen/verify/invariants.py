@@ -10,6 +10,7 @@ few samples never are. All thresholds and their margins are in `bounds.py`.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import spelt_out
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
@@ -73,9 +74,7 @@ def shares(rows: Sequence[Instance], recipe: Recipe) -> Iterator[tuple[int, str,
 def _refused(shares: Iterator[tuple[int, str, Share]]) -> Iterator[Finding]:
     """Yield the instances whose shares are refused, and the object where only all of them together
     show it."""
-    alike: dict[tuple[str, str], list[tuple[int, Share]]] = {}
-    for state, check, share in shares:
-        alike.setdefault((check, share.sentence), []).append((state, share))
+    alike = grouped(((check, s.sentence), (state, s)) for state, check, s in shares)
     for (check, sentence), several in alike.items():
         alone = [
             Finding(check, s.in_words(), state_index=state) for state, s in several if s.is_refused

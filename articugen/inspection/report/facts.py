@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools, Floats
+from articugen.core.arrays import Bools, Floats, grouped
 from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
 from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard
@@ -116,9 +116,7 @@ def merged(some: Sequence[Facts]) -> Facts:
 
 def _facts_of(path: Path) -> Facts:
     with open_shard(path) as shard:
-        rows: dict[str, list[int]] = {}
-        for row, object_id in enumerate(shard.object_ids()):
-            rows.setdefault(object_id, []).append(row)
+        rows = grouped((object_id, row) for row, object_id in enumerate(shard.object_ids()))
         small = {name: shard.read(name) for name in _SMALL}
         return Facts(
             objects=tuple(_object(shard, name, some, small) for name, some in rows.items()),

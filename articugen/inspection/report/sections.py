@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.arrays import grouped
 from articugen.core.colours import colour_of
 from articugen.core.records import JointKind
 from articugen.core.tables import counted, duration, size
 from articugen.inspection.likeness import Likeness, rows
-from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, PartSize, spread_text
+from articugen.inspection.report.facts import Facts, JointStates, ObjectFacts, spread_text
 
 from articugen.inspection.report.markup import (  # isort: skip
     MOST_ROWS, SPACE, Markup, card, dot, el, folded, hint, histogram, join, keys, share_bar, table,
@@ -100,10 +101,8 @@ def sheet(
 
 def joints(objects: Sequence[ObjectFacts]) -> Markup:
     """Return a histogram for each number of a joint, and kind."""
-    groups: dict[tuple[int, JointKind], list[JointStates]] = {}
-    for one in objects:
-        for j, joint in enumerate(one.joints):
-            groups.setdefault((j, joint.kind), []).append(joint)
+    every = (numbered for one in objects for numbered in enumerate(one.joints))
+    groups = grouped(((j, joint.kind), joint) for j, joint in every)
     cards = [_states(j, kind, same) for (j, kind), same in sorted(groups.items())[:MOST_JOINTS]]
     more = len(groups) - len(cards)
     return join(
@@ -135,10 +134,7 @@ def _states(j: int, kind: JointKind, same: Sequence[JointStates]) -> Markup:
 
 def parts(objects: Sequence[ObjectFacts]) -> Markup:
     """Return how large each part is, and how much of the unit cube is inside."""
-    by_part: dict[int, list[PartSize]] = {}
-    for one in objects:
-        for k, part in enumerate(one.parts):
-            by_part.setdefault(k, []).append(part)
+    by_part = grouped(numbered for one in objects for numbered in enumerate(one.parts))
     rows, shares = [], []
     for k, same in sorted(by_part.items()):
         shares.append((float(np.nansum([p.surface for p in same])), colour_of(k)))

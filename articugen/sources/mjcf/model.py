@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, joint_motion, transform
 from articugen.core.portable import product, turned
@@ -80,10 +80,7 @@ class Model:
         return self._within[parent]
 
     def _by_body(self, *tags: str) -> dict[Any, list[Any]]:
-        elements: dict[Any, list[Any]] = {}
-        for element in self._document.world.iter(*tags):
-            elements.setdefault(self._frame_of(element)[0], []).append(element)
-        return elements
+        return grouped((self._frame_of(e)[0], e) for e in self._document.world.iter(*tags))
 
     def _name(self, tag: str, name: str) -> str:
         """Return `name`, or one like it where a body or joint has that."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import joint_motion
 from articugen.core.portable import arctan2, dot, norm, product, turned
@@ -49,10 +49,9 @@ class Tree:
         self._rigid = list(range(len(names)))  # of each body, one that it moves with
         self._reached = {WORLD}
         self._used: set[int] = set()
-        self._hanging: dict[int, list[int]] = {}
-        for number, joint in enumerate(joints):
-            for body in joint.bodies:
-                self._hanging.setdefault(body, []).append(number)
+        self._hanging = grouped(
+            (body, n) for n, joint in enumerate(joints) for body in joint.bodies
+        )
         self._follow(WORLD)
         for body in first:
             if body not in self._reached:
