@@ -4,7 +4,6 @@
 ranges. Everything after it sees joints that are 0 in the canonical pose. All functions are pure.
 """
 
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -12,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import NotOfCategory, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid, joint_motion
 from articugen.core.portable import product, turned
@@ -82,10 +81,7 @@ def resolve(
     by_name = {joint.name: joint for joint in obj.joints}
     for joint in (joint for joint in moving if joint.mimic is not None):
         plans[joint.name] = _plan_follower(by_name, joint, plans)
-    remarks: dict[str, list[str]] = defaultdict(list)
-    for name, plan in plans.items():
-        for remark in plan.remarks:
-            remarks[remark].append(name)
+    remarks = grouped((remark, name) for name, plan in plans.items() for remark in plan.remarks)
     if not any(plan.moves for plan in plans.values()):
         raise NotOfCategory(_nothing_moves(obj, patterns))
     resolved = replace(

@@ -292,9 +292,8 @@ def _row_findings(
     if len(shard) != entry.instances:
         content.append(Finding("content", f"{len(shard)} instances, not {entry.instances}", name))
     recorded = {o.key.object_id: o.content_sha256 for o in objects}
-    places: dict[str, list[int]] = {object_id: [] for object_id in recorded}
-    for index, object_id in enumerate(shard.object_ids()):
-        places.setdefault(object_id, []).append(index)
+    rows_of = grouped((object_id, index) for index, object_id in enumerate(shard.object_ids()))
+    places = {key: list[int]() for key in recorded} | rows_of
     for object_id in sorted(places):
         rows = [shard.stored_row(index) for index in places[object_id]]
         content_now = [content_row(object_id, row) for row in rows]

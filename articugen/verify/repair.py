@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
 from articugen.core.files import write_atomically
 from articugen.core.place import Folder
@@ -28,7 +29,6 @@ from articugen.store.outcome import ObjectEntry, ShardEntry
 from articugen.store.shards import ShardRecord, content_sha256, open_shard
 from articugen.store.writer import copy_user_group
 from articugen.verify.dataset import MENDED, Repair, Report, text_findings, verify
-from articugen.verify.invariants import Finding
 from articugen.verify.rebuild import rebuild
 from articugen.verify.replay import made_elsewhere
 
@@ -64,10 +64,7 @@ def repair(
             return
         yield Repair(MANIFEST_NAME, fault, done, ok=True)
         report = verify(folder, jobs=jobs)
-    wrong: dict[str, list[Finding]] = {}
-    for finding in report.findings:
-        if finding.check in MENDED:
-            wrong.setdefault(finding.shard, []).append(finding)
+    wrong = grouped((f.shard, f) for f in report.findings if f.check in MENDED)
     with Records(Folder(folder)) as records:
         manifest = Manifest.read(folder)
         alien = any(one.check == "attributes" for findings in wrong.values() for one in findings)
