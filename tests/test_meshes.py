@@ -302,6 +302,7 @@ def position_in(document) -> int:
         (lambda d: d["nodes"][-1].update(extensions={"EXT_mesh_gpu_instancing": {}}), "instanced"),
         (lambda d: d["buffers"][0].update(uri="../outside.bin"), "leads out of"),
         (lambda d: d.pop("accessors"), "not a glTF document"),
+        (lambda d: d.pop("scenes"), "has no scene, which would say what is shown; export it"),
     ],
 )
 def test_glb_that_lies_is_refused(tmp_path, edit, problem):

@@ -247,6 +247,8 @@ def _check_gltf(text: bytes, path: Path, files: ModelFiles) -> tuple[Any, dict[s
         document = json.loads(text)
         faces = _check_triangles(document, path)
         _check_nodes(document.get("nodes", []), faces, path)
+        if document.get("nodes") and not document.get("scenes"):
+            raise _broken(path, "has no scene, which would say what is shown")
         names = [b["uri"] for b in document.get("buffers", []) if "uri" in b]
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"[:200]
