@@ -129,6 +129,7 @@ def test_recipes_extend_one_another():
         ("model: {revolute: [[1, 1, 0]]}", "not of unit length"),
         ("data: {grid_points: 0}", "must be more than 0"),
         ("{model: {local_points: 9}, data: {surface_points: 11}}", "surface_points of 12 or more"),
+        ("schedule: {stages: []}", "schedule.stages: has none; give it one"),
         ("model: {states: points}", "needs model.part_boxes and a warm start"),
         ("losses: {vol: -1}", "losses.vol"),
         ("extends: ppd_papre", "did you mean 'ppd_paper'"),
@@ -165,6 +166,13 @@ def test_runs_are_numbered_and_told_of(boxes, tmp_path):
         run = start(boxes, tmp_path, stop_after=1, on_progress=lambda p: seen.append(p.iteration))
     assert run.path.name == "001"
     assert seen == [1, 1]
+
+
+def test_a_schedule_without_iterations_leaves_a_checkpoint(boxes, tmp_path):
+    stage = TINY.schedule.stages[0].model_copy(update={"iterations": 0})
+    none = TINY.schedule.model_copy(update={"stages": (stage,)})
+    run = start(boxes, tmp_path, TINY.model_copy(update={"schedule": none}))
+    assert read_checkpoint(run.path / LATEST).iteration == 0
 
 
 @pytest.mark.parametrize("stop", [2, 3, 4])

@@ -312,6 +312,8 @@ def train(
             course.iteration = iteration + 1
             noted = course.note(terms, log, stops=course.iteration == stop_after)
             on_progress(Progress(course.iteration, plan.iterations, *noted))
+    if not course.iteration:  # of a schedule without any
+        course.keep(LATEST)
     return course.run
 
 

@@ -153,6 +153,8 @@ class TrainRecipe(Section):
         validate_every = self.schedule.validate_every
         if self.seeds.count > 1 and not self.data.validation_objects:
             raise ValueError("several seeds need data.validation_objects to choose by")
+        if not self.schedule.stages:
+            raise ValueError("schedule.stages: has none; give it one")
         for before, at in pairwise((0, *self.seeds.halve_at, self.schedule.iterations)):
             if self.seeds.count > 1 and not (before < at and before % validate_every == 0):
                 raise ValueError(
