@@ -72,6 +72,20 @@ def test_parts_without_joints_are_fixed(tmp_path):
     assert set(robot.link_map) == {"part_0", "part_1", "part_2"}
 
 
+def test_nothing_of_an_earlier_prediction_stays_and_all_else_does(tmp_path):
+    found = three_balls()
+    write_rig(found, tmp_path)
+    write_cut(cut(Cloud(found.triangles.mean(1), triangles=found.triangles), found), tmp_path)
+    (tmp_path / "part_notes.obj").write_text("mine")
+    two = found.part < 2
+    write_rig(
+        dataclasses.replace(found, triangles=found.triangles[two], part=found.part[two]), tmp_path
+    )
+    there = {path.name for path in tmp_path.iterdir()}
+    kept = {"input.glb", "part_notes.obj"}
+    assert there == {"predicted.urdf", "part_0.obj", "part_1.obj", *kept}
+
+
 def test_no_surface_is_said(tmp_path):
     found = three_balls()
     empty = dataclasses.replace(found, triangles=np.zeros((0, 3, 3)), part=np.zeros(0, int))

@@ -202,6 +202,10 @@ def write_rig(
     if not len(shape.triangles):
         raise ArticugenError(f"{folder}: the model sees no surface in this cloud; nothing to write")
     make_folder(folder)
+    if not prefix and (folder / f"{name}.urdf").is_file():  # an earlier prediction's
+        for old in ("part_[0-9]*.obj", "input_part_[0-9]*.obj", "input.urdf"):
+            for path in folder.glob(old):
+                path.unlink()
     links: dict[str, list[Visual]] = {}
     joints = []
     for i in range(shape.parts):
