@@ -115,6 +115,17 @@ def test_an_evaluation_bears_the_data_set_s_name_wherever_one_stands(folder, mon
     assert evaluation_folder("../runs/box", on=".").name == "evaluation-on-data"
 
 
+def test_an_evaluation_on_another_data_set_of_the_name_stays(folder):
+    data, other = folder / "data", folder / "other" / "data"
+    shutil.copytree(data, other)
+    base = ("evaluate", folder / "runs" / "box", "-d", data, "--resolution", 8, "--no-figures")
+    assert articugen(*base, "--on", data).exit_code == 0
+    done = articugen(*base, "--on", other)
+    assert done.exit_code == 1
+    assert f"evaluation-on-data: is of {data}; move it away" in done.output.replace("\n", "")
+    assert articugen(*base, "--on", data).exit_code == 0
+
+
 def test_seeds_race_and_a_race_resumes(folder):
     data, runs = folder / "data", folder / "race"
     base = ("train", "-c", "box", "-d", data, "-r", folder / "tiny.yaml", "--runs", runs, "-j", 1)

@@ -164,13 +164,13 @@ class RunEvaluation(Evaluation):
         write_atomically(folder / FILE, f"{text}\n".encode())
 
 
-def read_evaluation(run: Path) -> RunEvaluation:
-    """Return the evaluation, by the paper's protocol, in a run's folder.
+def read_evaluation(run: Path, folder: str = "evaluation") -> RunEvaluation:
+    """Return the evaluation in this folder, by default that by the paper's protocol, of a run.
 
     Raises:
         InvalidCheckpoint: there is none, or it is damaged.
     """
-    path = run / "evaluation" / FILE
+    path = run / folder / FILE
     cure = f"make it with: articugen evaluate {run}"
     try:
         return RunEvaluation.model_validate_json(read_regular(path, MOST_BYTES))

@@ -28,7 +28,7 @@ from articugen.evaluation.evaluate import evaluate as evaluate_as_paper
 from articugen.evaluation.reconstruction import Reconstruction
 from articugen.evaluation.report import markdown
 from articugen.evaluation.report import tables as written
-from articugen.evaluation.results import EvaluatedRun, RunEvaluation, read_evaluation
+from articugen.evaluation.results import FILE, EvaluatedRun, RunEvaluation, read_evaluation
 from articugen.evaluation.tally import Protocol
 from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise, training_objects
@@ -45,7 +45,7 @@ from articugen.learning.predict import (
 )
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
+from articugen.learning.run_folder import LATEST, RunFolder, newest, read_checkpoint
 from articugen.meshes.points import Cloud, cloud_of_file
 from articugen.store.manifest import Manifest
 
@@ -175,12 +175,12 @@ def evaluate(
     Raises:
         InvalidCheckpoint: the run cannot be read.
         UnfitData: a data set has no such object, or is of another category.
-        ArticugenError: there is no such protocol.
+        ArticugenError: there is no such protocol, or `on` is called as another data set was.
     """
     prepare(threads=1)
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
-    folder = newest(run)
+    folder, out = newest(run), evaluation_folder(run, protocol, on)
     point = read_checkpoint(folder / LATEST)
     yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
     if protocol not in yardsticks:
@@ -215,7 +215,6 @@ def evaluate(
         on=None if on is None else str(on),
     )  # fmt: skip
     result = RunEvaluation(run=evaluated, **dict(measured))
-    out = evaluation_folder(folder, protocol, on)
     out.mkdir(exist_ok=True)
     result.write(out)
     write_atomically(out / "evaluation.md", markdown(result).encode())
@@ -225,10 +224,15 @@ def evaluate(
 def evaluation_folder(
     run: FolderLike, protocol: str = "paper", on: FolderLike | None = None
 ) -> Path:
-    """Return where `evaluate` writes to."""
+    """Return where `evaluate` writes to; ArticugenError where that is of another data set."""
     parts = ["evaluation", *([] if protocol == "paper" else [protocol])]
     parts += [] if on is None else ["on", os.path.basename(os.path.abspath(on))]
-    return newest(run) / "-".join(parts)
+    folder = newest(run) / "-".join(parts)
+    if on is not None and os.path.exists(on) and (folder / FILE).is_file():
+        before = read_evaluation(folder.parent, folder.name).run.on or on
+        if os.path.exists(before) and not os.path.samefile(before, on):
+            raise ArticugenError(f"{folder}: is of {before}; move it away, or rename {on}")
+    return folder
 
 
 def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]:
@@ -421,21 +425,6 @@ def _folders(data: FolderLike | Sequence[FolderLike]) -> tuple[Path, ...]:
     if not folders:
         raise ArticugenError("no data set to train on; give its folder")
     return tuple(map(Path, folders))
-
-
-def newest(run: FolderLike) -> Path:
-    """Return the run itself, or the newest of the numbered runs in a folder.
-
-    Raises:
-        InvalidCheckpoint: there is none.
-    """
-    run = Path(run)
-    if (run / "run.json").is_file():
-        return run
-    numbered = [p for p in run.glob("*") if p.name.isdecimal() and (p / "run.json").is_file()]
-    if not numbered:
-        raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
-    return max(numbered, key=lambda p: int(p.name))
 
 
 def prepare(device: str = "cpu", threads: int = 0) -> None:

@@ -162,6 +162,21 @@ def read_checkpoint(path: Path) -> Checkpoint:
     return point
 
 
+def newest(run: str | os.PathLike[str]) -> Path:
+    """Return the run itself, or the newest of the numbered runs in a folder.
+
+    Raises:
+        InvalidCheckpoint: there is none.
+    """
+    run = Path(run)
+    if (run / "run.json").is_file():
+        return run
+    numbered = [p for p in run.glob("*") if p.name.isdecimal() and (p / "run.json").is_file()]
+    if not numbered:
+        raise InvalidCheckpoint(f"{run}: holds no run; make one with: articugen train")
+    return max(numbered, key=lambda p: int(p.name))
+
+
 class RunFolder:
     """One run's files."""
 
