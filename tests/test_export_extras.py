@@ -244,6 +244,7 @@ def test_particulate_has_its_half_of_sharp_points(bolts, rows, tmp_path):
         data = np.load(tmp_path / "p" / own[0].split / f"{object_id}.npz")
         sharp = data["point_from_sharp"]
         assert data["normals"].shape == data["points"].shape
+        np.testing.assert_allclose(np.ptp(data["points"], axis=0).max(), 1.0, atol=1e-6)
         for group, chosen in (("surface", ~sharp), ("sharp", sharp)):
             parts = data["point_to_bone"][chosen]
             assert set(parts) == set(range(len(own[0].parts)))

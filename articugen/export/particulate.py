@@ -26,7 +26,8 @@ def _write(item: Item, target: Files) -> None:
     groups = [_rest(item.rows, "surface")]
     if "sharp_points" in row.fields:
         groups.append(_rest(item.rows, "sharp"))
-    box = bounds(groups[0][0])
+    points, normals, part = map(np.concatenate, zip(*groups, strict=True))
+    box = bounds(points)
     middle, scale = box.mean(axis=0), 1.0 / float((box[1] - box[0]).max())
     P = len(row.parts)
     axes, ranges = np.zeros((P, 12), np.float32), np.zeros((P, 4), np.float32)
@@ -39,7 +40,6 @@ def _write(item: Item, target: Files) -> None:
         else:
             axes[joint.part, 6:] = plucker
             ranges[joint.part, 2:] = joint.lower_unit * scale, joint.upper_unit * scale
-    points, normals, part = map(np.concatenate, zip(*groups, strict=True))
     arrays = {
         "points": ((points - middle) * scale).astype(np.float32),
         "normals": normals.astype(np.float32),
