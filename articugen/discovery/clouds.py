@@ -261,8 +261,8 @@ def change(
     movers = often & (_share_about(points[0], often, near) > 0.5)
     if movers.sum() < max(12, 0.002 * len(movers)):
         raise InvalidArgument(
-            f"nothing moves: all of pose 0 is where it was in the {len(clouds) - 1} other poses; "
-            "give poses in which a joint has another state"
+            f"nothing moves: all of pose 0 is, to {near * size:.2g}, where it was in the others; "
+            "give poses in which a joint has another state, or denser clouds or finer grids"
         )
     stays = Cells.of([start[~movers]], near)
     new = [surface[is_new(surface, stays, near, sight)] for surface in surfaces]
