@@ -184,7 +184,8 @@ def evaluate(
     point = read_checkpoint(folder / LATEST)
     yardsticks = {"paper": _PAPER, **find_method(point.recipe.method).yardsticks()}
     if protocol not in yardsticks:
-        raise ArticugenError(f"--protocol {protocol}: {' or '.join(yardsticks)}")
+        choice = " or ".join(yardsticks)
+        raise ArticugenError(f"--protocol {protocol}: {point.recipe.method} has {choice} alone")
     by = yardsticks[protocol]
     finer, resolution = None if resolution else by.finer, resolution or by.resolution
     measure = partial(
