@@ -14,7 +14,7 @@ import pytest
 import python_process
 
 from articugen.core import processes as module
-from articugen.core.errors import MachineFault, MissingExtra
+from articugen.core.errors import InvalidArgument, MachineFault, MissingExtra
 from articugen.core.memory import resident_bytes
 from articugen.core.processes import Crew, Ended, Limit, each, in_order, report
 
@@ -61,6 +61,11 @@ def test_tasks_end_in_any_order_or_in_theirs() -> None:
     assert {n: e.value for n, e in ended(tasks).items()} == dict(enumerate([0.5, 0, 1, 2, 3, 4]))
     for workers in (0, 2):
         assert list(in_order(do, tasks, workers=workers)) == [0.5, 0, 1, 2, 3, 4]
+
+
+def test_less_than_no_worker_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="-1 worker processes; give 0 or"):
+        ended([("say", 1)], workers=-1)
 
 
 @pytest.mark.parametrize("processes", [0, 2])

@@ -23,7 +23,7 @@ from dataclasses import KW_ONLY, dataclass
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any, Generic, TypeVar, cast
 
-from articugen.core.errors import ArticugenError, MachineFault
+from articugen.core.errors import ArticugenError, InvalidArgument, MachineFault
 from articugen.core.memory import resident_bytes
 
 T = TypeVar("T")
@@ -253,6 +253,8 @@ class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
     name: Callable[[T], str] = str
 
     def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise InvalidArgument(f"{self.workers} worker processes; give 0 or more")
         self._clock = _Clock()
         self._width = self.workers
         self._deaths = 0

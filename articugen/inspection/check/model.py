@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -366,7 +366,8 @@ def _findings(checked: Checked, scale: float) -> Iterator[Finding]:
     for kind in FINDINGS:
         texts = [text for its_kind, text in amiss if its_kind == kind]
         if texts:
-            yield Finding(kind, _some(texts))
+            more = f" and {len(texts) - 3} more" if len(texts) > 3 else ""
+            yield Finding(kind, ", ".join(texts[:3]) + more)
 
 
 def _of(part: PartChecked) -> Iterator[tuple[str, str]]:
@@ -400,7 +401,3 @@ def _moved(joint: JointChecked) -> Iterator[tuple[str, str]]:
     if joint.colliding:
         between = " in ".join(joint.between)
         yield "collides", f"in {joint.colliding:.0%} of its range ({between}, {joint.depth:.2g})"
-
-
-def _some(texts: Sequence[str]) -> str:
-    return ", ".join(texts[:3]) + (f" and {len(texts) - 3} more" if len(texts) > 3 else "")
