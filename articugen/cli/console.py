@@ -15,6 +15,7 @@ from rich.text import Text
 from articugen.cli.saying import REJECTED, command, counting_bar, say, stderr, stdout
 from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
+from articugen.core.grouping import grouped
 from articugen.core.tables import counted, duration, facts, size
 from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject
@@ -46,9 +47,7 @@ def sources_table(sources: Iterable[Source]) -> RenderableType:
 def plan_table(job: Job, plan: Plan) -> RenderableType:
     """Return what a run would do, and why."""
     table = facts()
-    reasons: dict[str, list[str]] = {}
-    for task in plan.tasks:
-        reasons.setdefault(task.why, []).append(task.ref.object_id)
+    reasons = grouped((task.why, task.ref.object_id) for task in plan.tasks)
     table.add_row("there already", counted(len(plan.done), "object"))
     for why, objects in reasons.items():
         some = ", ".join(objects[:3]) + (", ..." if len(objects) > 3 else "")

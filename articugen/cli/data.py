@@ -60,8 +60,7 @@ def inspect(
     if image is None and html is None:
         return
     compile_for("inspect")
-    counts = {"objects": objects, "states": states}
-    chosen = {name: count for name, count in counts.items() if count is not None}
+    chosen = {n: count for n, count in (("objects", objects), ("states", states)) if count}
     if image is not None:
         from articugen.pictures.contact_sheet import contact_sheet
 

@@ -1,7 +1,4 @@
-"""The types of arrays that signatures name, and values grouped by keys."""
-
-from collections.abc import Iterable
-from typing import TypeVar
+"""The types of arrays that signatures name."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +8,3 @@ Ints = NDArray[np.int64]
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
-Key = TypeVar("Key")
-Value = TypeVar("Value")
-
-
-def grouped(pairs: Iterable[tuple[Key, Value]]) -> dict[Key, list[Value]]:
-    """Return the values of each key; keys and values come in the order of the pairs."""
-    groups: dict[Key, list[Value]] = {}
-    for key, value in pairs:
-        groups.setdefault(key, []).append(value)
-    return groups

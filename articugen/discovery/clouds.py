@@ -231,7 +231,10 @@ def change(
     frame = Normalization((low + high) / 2.0, size)
     rng = np.random.default_rng(0)
     surfaces = [replace(surface, points=frame.to_unit(surface.points)) for surface in whole]
-    clouds = tuple(_thinned(surface, rng) for surface in surfaces)
+    clouds = tuple(
+        s if len(s) <= MOST_POINTS else s[np.sort(rng.choice(len(s), MOST_POINTS, replace=False))]
+        for s in surfaces
+    )
     points = [cloud.points for cloud in clouds]
     first = Cells.of(clouds[:1])
     near = spacing_of(points[0], first)
@@ -319,12 +322,6 @@ def surfaces_of(clouds: Sequence[Any], normals: Sequence[Any] | None = None) -> 
     if [normal.shape for normal in outward] != [cloud.shape for cloud in points]:
         raise InvalidArgument("normals are not one for each point; give those of each cloud")
     return [Surface.bare(*both) for both in zip(points, outward, strict=True)]
-
-
-def _thinned(cloud: Surface, rng: np.random.Generator) -> Surface:
-    if len(cloud) <= MOST_POINTS:
-        return cloud
-    return cloud[np.sort(rng.choice(len(cloud), MOST_POINTS, replace=False))]
 
 
 def _left(cloud: Floats, others: Cells) -> Floats:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
-from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, InvalidArgument
+from articugen.core.grouping import grouped
 from articugen.core.recipe import Recipe
 from articugen.core.yaml_files import nearest
 from articugen.store.bucket import Remote

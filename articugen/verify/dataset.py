@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from articugen.core import processes
-from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, spelt_out
 from articugen.core.files import read_regular
+from articugen.core.grouping import grouped
 from articugen.core.recipe import Recipe
 from articugen.pipeline.folder import is_temporary, is_unfinished
 from articugen.store import croissant
@@ -292,10 +292,9 @@ def _row_findings(
     if len(shard) != entry.instances:
         content.append(Finding("content", f"{len(shard)} instances, not {entry.instances}", name))
     recorded = {o.key.object_id: o.content_sha256 for o in objects}
-    rows_of = grouped((object_id, index) for index, object_id in enumerate(shard.object_ids()))
-    places = {key: list[int]() for key in recorded} | rows_of
-    for object_id in sorted(places):
-        rows = [shard.stored_row(index) for index in places[object_id]]
+    places = grouped((object_id, index) for index, object_id in enumerate(shard.object_ids()))
+    for object_id in sorted({*places, *recorded}):
+        rows = [shard.stored_row(index) for index in places.get(object_id, ())]
         content_now = [content_row(object_id, row) for row in rows]
         if content_sha256(content_now) != recorded.get(object_id):
             sentence = "not the content that the manifest records"
