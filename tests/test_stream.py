@@ -58,6 +58,7 @@ def test_a_stream_is_what_generate_stores(stored: ag.DataSet) -> None:
     for key, row in there.items():
         assert_same(met[key], row)
     assert streams[0]._object(3)[0].split == "train"
+    assert_same(next(tiny(seed=np.int64(5), split=None, start=6.0)), next(tiny(seed=5, start=6)))
 
 
 def test_the_recipe_light_has_points_and_labels_alone() -> None:
@@ -152,6 +153,9 @@ def test_a_folder_of_which_nothing_can_be_made_ends_in_a_sentence(tmp_path, monk
         ({"split": "tset"}, "no object is of split 'tset'; there are: test, train"),
         ({"share": "2/2"}, "no share '2/2'; give i/n"),
         ({"start": -1}, "start is -1; give 0 or more"),
+        ({"start": 1.5}, "start is 1.5; give a whole number"),
+        ({"seed": "3"}, "seed is '3'; give a whole number"),
+        ({"seed": 0.5}, "seed is 0.5; give a whole number"),
     ],
 )
 def test_what_makes_no_sense_is_refused(how: dict[str, object], sentence: str) -> None:

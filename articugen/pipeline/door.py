@@ -8,7 +8,7 @@ from articugen.core.processes import default_jobs
 from articugen.core.recipe import load_recipe
 from articugen.core.yaml_files import with_settings
 from articugen.pipeline.job import Job, Share
-from articugen.pipeline.options import OnNotice, OnObject, Options, ignore, takes
+from articugen.pipeline.options import OnNotice, OnObject, Options, ignore, takes, whole
 from articugen.pipeline.run import started
 from articugen.sources.source import open_source
 from articugen.store.bucket import Remote, is_url
@@ -39,9 +39,9 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
             recipe=with_settings(
                 load_recipe(options.recipe, name, source), options.changes
             ).with_options(**{name: getattr(options, name) for name in _OF_RECIPE}),
-            seed=options.seed,
+            seed=whole("seed", options.seed),
             out=Remote(str(out)) / name if is_url(out) else Path(out) / name,
-            jobs=default_jobs() if options.jobs is None else options.jobs,
+            jobs=default_jobs() if options.jobs is None else whole("jobs", options.jobs),
             ids=ids,
             exclude=exclude,
             joints=tuple(options.joints),

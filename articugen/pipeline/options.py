@@ -8,8 +8,11 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, dataclass, field, fields
 from functools import wraps
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Union
+
+from articugen.core.errors import InvalidArgument
 
 if TYPE_CHECKING:
     from articugen.core.recipe import Recipe
@@ -66,6 +69,13 @@ CHANGES = option(
     metavar="SECTION.KEY=VALUE",
     show_default="none",
 )
+
+
+def whole(name: str, value: Any) -> int:
+    """Return a whole number, numpy's too, as Python's; InvalidArgument where it is none."""
+    if issubclass(type(value), Real) and value % 1 == 0:
+        return int(value)
+    raise InvalidArgument(f"{name} is {value!r}; give a whole number")
 
 
 @dataclass(frozen=True)

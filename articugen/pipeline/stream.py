@@ -8,14 +8,14 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from articugen.core.errors import ArticugenError, InvalidArgument, printable
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 from articugen.instance.again import resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
 from articugen.pipeline.door import jobs_of
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.making import instances_each, verdict_on
-from articugen.pipeline.options import Folder, Options, RecipeLike
+from articugen.pipeline.options import Folder, Options, RecipeLike, whole
 from articugen.pipeline.plan import objects_of
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import Source, open_source
@@ -38,7 +38,7 @@ def stream(
     seed: int = 0,
     *,
     states: int | None = None,
-    split: str = "",
+    split: str | None = None,
     share: str = "",
     start: int = 0,
 ) -> "Stream":
@@ -62,7 +62,7 @@ def stream(
     job, *others = jobs_of(options)
     if others:
         raise InvalidArgument(f"{category!r} means {1 + len(others)} categories; stream one")
-    if start < 0:
+    if whole("start", start) < 0:
         raise InvalidArgument(f"start is {start}; give 0 or more")
     ranks = f"{os.environ.get('RANK', '0')}/{os.environ.get('WORLD_SIZE', '1')}"
     opened = open_source(job.source)
@@ -72,7 +72,7 @@ def stream(
     splits = sorted({ref.split for ref in refs})
     if split and split not in splits:
         raise InvalidArgument(f"no object is of split {split!r}; there are: {', '.join(splits)}")
-    return Stream(job, opened, refs, split, start)
+    return Stream(job, opened, refs, split or "", int(start))
 
 
 @dataclass(eq=False)
@@ -216,10 +216,7 @@ class Stream(Iterator[Row]):
         there = sorted(self.job.recipe.fields())
         for name in fields:
             if name not in there:
-                raise InvalidArgument(
-                    f"the recipe makes no field {name!r}{nearest(name, there)}; it makes: "
-                    f"{', '.join(there)}"
-                )
+                raise InvalidArgument(unlisted("field", name, there))
         return TorchStream(self.part(0, 1), tuple(fields))
 
 
