@@ -255,6 +255,7 @@ def test_any_model_that_a_source_reads(folder, tmp_path, monkeypatch):
         (lambda: ag.load("procedural"), InvalidSource, r"name one, as in load\('procedural', 'b"),
         (lambda: ag.load(tmp_path / "none.urdf"), InvalidSource, "there is no such file"),
         (lambda: ag.Maker(model, "quikc"), InvalidRecipe, "did you mean 'quick'"),
+        (lambda: ag.Maker("a.urdf"), InvalidArgument, "'a.urdf' is no model; load one"),  # type: ignore[arg-type]
         (lambda: ag.Maker(model, {"views": {"cont": 3}}), InvalidRecipe, "did you mean 'count'"),
     ):
         with pytest.raises(error, match=sentence):

@@ -266,10 +266,13 @@ class Maker(Sequence[Made]):
             recipe: a name, a path, the keys of a recipe, or None for the category's own.
 
         Raises:
+            InvalidArgument: `obj` is no model.
             InvalidRecipe: there is no such recipe, or it makes no sense.
             NotOfCategory: nothing of the object moves.
             RejectedInstance: nothing can be made of it.
         """
+        if not isinstance(obj, Model | ArticulatedObject):
+            raise InvalidArgument(f"{obj!r} is no model; load one of a file or folder by ag.load")
         model = obj if isinstance(obj, Model) else Model(obj)
         recipe = load_recipe(recipe, model.category)
         self.recipe = recipe.for_source(clips_to_limits=model.clips_to_limits)
