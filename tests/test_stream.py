@@ -83,6 +83,7 @@ def test_finer_views_than_those_of_light_label_varied_objects_alike(category: st
 def test_objects_are_new_for_ever_each_in_its_split() -> None:
     source = tiny().source
     number = len(tiny().refs)
+    assert repr(tiny()).startswith("every laptop of procedural_varied, recipe ")
     ahead = tiny(start=EACH * number)
     assert next(ahead).object_id == f"laptop_{number:04d}"
     assert ahead.position == EACH * number + 1
@@ -126,6 +127,7 @@ def test_objects_of_a_folder_come_again_in_other_states(tmp_path: Path) -> None:
     (tmp_path / "boxes" / "broken").mkdir()
     (tmp_path / "boxes" / "broken" / "model.urdf").write_text("<robot")
     opened = ag.stream("box", TINY, tmp_path / "boxes", seed=3)
+    state = opened.state_dict()
     with pytest.warns(UserWarning, match="broken.*; the stream goes on without it"):
         rows = list(islice(opened, 4 * EACH))
     assert names(rows[: 2 * EACH]) == names(rows[2 * EACH :])
@@ -135,6 +137,9 @@ def test_objects_of_a_folder_come_again_in_other_states(tmp_path: Path) -> None:
     for row in rows[2 * EACH :]:
         assert_same(row, there[row.object_id, row.state_index])
     assert (rows[1].stored("joint_state") != rows[1 + 2 * EACH].stored("joint_state")).any()
+    write_object("box", "box_0002", tmp_path / "boxes" / "box_0002")
+    with pytest.raises(InvalidArgument, match="the state is of every box"):
+        ag.stream("box", TINY, tmp_path / "boxes", seed=3).load_state_dict(state)
 
 
 def test_a_folder_of_which_nothing_can_be_made_ends_in_a_sentence(tmp_path, monkeypatch):

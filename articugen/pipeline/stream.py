@@ -12,11 +12,12 @@ from articugen.core.yaml_files import unlisted
 from articugen.instance.again import resolved
 from articugen.instance.make import make_instance
 from articugen.instance.preparing import Prepared, prepare
+from articugen.pipeline.common import listing_of
 from articugen.pipeline.door import jobs_of
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.making import instances_each, verdict_on
 from articugen.pipeline.options import Folder, Options, RecipeLike, whole
-from articugen.pipeline.plan import objects_of
+from articugen.pipeline.plan import name_of_ref, objects_of
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import Source, open_source
 from articugen.store.dataset import DEFAULT_FIELDS
@@ -75,7 +76,7 @@ def stream(
     return Stream(job, opened, refs, split or "", int(start))
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Stream(Iterator[Row]):
     """Rows without end: all states of an object, then those of the next; made by `stream`.
 
@@ -162,10 +163,12 @@ class Stream(Iterator[Row]):
             raise ArticugenError(f"{MOST_REJECTED} objects were rejected in a row; the last, {why}")
         warnings.warn(f"{why}; the stream goes on without it", stacklevel=3)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Return what decides all that comes."""
         job, recipe = self.job, self.job.recipe.for_one_object()
         code = self.refs[0].generator_by(recipe.text())
+        if not self.source.is_made:
+            code += f", models {listing_of(map(name_of_ref, self.refs))[:12]}"
         return (
             f"{self.split or 'every'} {job.category} of {job.source}, recipe "
             f"{recipe.sha256()[:12]}, seed {job.seed}, share {job.share}, {code}"
