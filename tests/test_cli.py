@@ -272,6 +272,16 @@ def test_wrong_usage_exits_with_2(arguments) -> None:
     assert run(*arguments).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("inspect",), ("verify",), ("train", "-c", "laptop", "-d"), ("export", "--to", "glb")],
+)
+def test_an_address_is_no_path(arguments) -> None:
+    done = run(*arguments, "s3://shelf/laptop")
+    assert done.exit_code == 2
+    assert "an address; copy it to a folder" in " ".join(done.stderr.split())
+
+
 def test_a_rejected_object_shows_in_the_exit_status(boxes, recipe, tmp_path):
     patient = tmp_path / "patient.yaml"
     patient.write_text(f"extends: {recipe}\nobjects: 3\nmax_rejected_fraction: 0.5\n")

@@ -115,7 +115,9 @@ def _value(one: Field[Any], value: Any) -> Any:
     not."""
     if value is None:
         return one.default
-    is_names = _is_several(one) and _kind(one) is str and one.name != "changes"
-    if not is_names or not isinstance(value, list):
-        return value
-    return [name.strip() for text in value for name in text.split(",") if name.strip()]
+    for path in value if isinstance(value, list) else [value]:
+        if isinstance(path, Path) and ":/" in str(path) and not path.exists():
+            raise typer.BadParameter(f"{path}: an address; copy it to a folder, and name that")
+    if _is_several(one) and _kind(one) is str and one.name != "changes":
+        return [name.strip() for text in value for name in text.split(",") if name.strip()]
+    return value
