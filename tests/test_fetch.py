@@ -274,7 +274,7 @@ def test_a_folder_that_was_not_fetched_is_left_alone(hub, tmp_path):
         (["partnet-mobility", "-c", "laptob"], "has no category 'laptob'; did you mean 'laptop'?"),
         (["partnet-mobility", "--ids", "1", "--via", "ftp"], "no route 'ftp'; there are: hub, "),
         (["shape2motion"], "is not downloaded from here; get its archives from its authors"),
-        (["shapenet"], "no data set 'shapenet' to fetch"),
+        (["shapenet"], "no data set 'shapenet'; did you mean 'shape2motion'?"),
         (["shape2motion", "--from", "no.zip"], "no.zip: cannot be read: No such file"),
         (["shape2motion", "--from", "no.zip", "--ids", "1"], "--from takes all models"),
     ],

@@ -79,6 +79,18 @@ def test_extends_merges_sections_key_by_key(tmp_path: Path) -> None:
     assert recipe.name == "mine"
 
 
+def test_a_path_that_is_extended_is_one_beside_the_file(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "in").mkdir()
+    written(tmp_path, "objects: 4", "in/base.yaml")
+    path = written(tmp_path, "extends: base.yaml", "in/mine.yaml")
+    written(tmp_path, "objects: 5", "base.yaml")
+    monkeypatch.chdir(tmp_path)
+    assert load_recipe(path, "laptop").objects == 4
+    written(tmp_path, "extends: base.yaml", "base.yaml")
+    with pytest.raises(InvalidRecipe, match="extends itself"):
+        load_recipe(tmp_path / "base.yaml", "laptop")
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

@@ -64,6 +64,8 @@ def resolved_mapping(
 ) -> dict[str, Any]:
     """Do as `resolved`, with a mapping that is no file's: a notebook's recipe."""
     keys, base = {k: value for k, value in data.items() if k != "extends"}, data.get("extends")
+    beside = os.path.join(chain[-1].parent, str(base)) if chain else ""
+    base = beside if Path(beside).suffix and os.path.isfile(beside) else base
     return keys if base is None else _merged(resolved(base_of(str(base)), base_of, chain), keys)
 
 

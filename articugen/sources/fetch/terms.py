@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from articugen.core.errors import InvalidArgument
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 from articugen.sources.source_file import plain, read_source_file, source_files
 
 
@@ -46,8 +46,7 @@ def terms_of(name: str) -> Terms:
     none."""
     source = next((known for known in NAMES if plain(known) == plain(name)), None)
     if source is None:
-        hint = nearest(name, list(NAMES))
-        raise InvalidArgument(f"no data set {name!r} to fetch{hint}; there are: {', '.join(NAMES)}")
+        raise InvalidArgument(unlisted("data set", name, NAMES))
     if source in _OTHERS:
         return Terms(source, *_OTHERS[source])
     file = read_source_file(source_files()[source.replace("-", "_")])
