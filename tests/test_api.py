@@ -52,14 +52,16 @@ def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
     models = shutil.copytree(folder / "my" / "urdfs", tmp_path / "models")
     (models / "second.urdf").write_text(CABINET)
 
-    def make(states=0, **options):
+    def make(states=0, out=tmp_path, **options):
         recipe = TINY | {"articulation": {"states": states}}
-        return ag.generate("cabinet", models, tmp_path, recipe, jobs=0, **options)
+        return ag.generate("cabinet", models, out, recipe, jobs=0, **options)
 
     told = []
     data = make(on_object=told.append, ids=["first"], seed=np.int64(0))
     assert ([report.reused for report in told], data.objects) == ([False], ("first",))
     told.clear()
+    one = make(ids="first", out=tmp_path / "one", movable="do*")
+    assert [joint.name for joint in one[0].joints] == ["door", "lock"]  # which follows it
     assert len(make(on_object=told.append)) == 2
     assert [(report.object_id, report.reused) for report in told] == [
         ("first", True), ("second", False)]  # fmt: skip

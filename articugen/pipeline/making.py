@@ -129,9 +129,7 @@ def verdict_on(error: Exception, ref: ObjectRef, recipe: Recipe) -> Exception | 
         raise error
     if isinstance(error, OSError) and ref.is_made:
         raise MachineFault(printable(f"{ref.object_id}: {error}; see to it")) from error
-    if isinstance(error, OSError) and error.errno is not None:
-        return error
-    return None
+    return error if isinstance(error, OSError) and error.errno is not None else None
 
 
 def _instances(job: Job, task: Task) -> tuple[ResolvedObject, Iterator[Instance]]:

@@ -157,6 +157,12 @@ class Options:
         metadata={"help": "Called for each object, those that were there already first."},
     )
 
+    def __post_init__(self) -> None:
+        """Take a text for a list of it."""
+        for one in fields(self):
+            if one.type == Sequence[str] and isinstance(text := getattr(self, one.name), str):
+                object.__setattr__(self, one.name, (text,))
+
 
 def takes(record: Callable[P, T]) -> Callable[[Callable[[T], R]], Callable[P, R]]:
     """Return a decorator: a function of one record becomes one of the record's fields, with their

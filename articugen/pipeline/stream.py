@@ -59,8 +59,7 @@ def stream(
     Raises:
         ArticugenError: no such source, category, recipe, split or share.
     """
-    options = Options(category, source, recipe=recipe, states=states, seed=seed, jobs=1)
-    job, *others = jobs_of(options)
+    job, *others = jobs_of(Options(category, source, recipe=recipe, states=states, seed=seed))
     if others:
         raise InvalidArgument(f"{category!r} means {1 + len(others)} categories; stream one")
     if whole("start", start) < 0:

@@ -187,9 +187,7 @@ def _share(which: Bools) -> float:
 
 
 def _box(points: Floats, scale: float) -> Floats:
-    if not len(points):
-        return np.full(3, np.nan)
-    return scale * np.ptp(points, axis=0)
+    return scale * np.ptp(points, axis=0) if len(points) else np.full(3, np.nan)
 
 
 def range_text(low: float, high: float, unit: str) -> str:
