@@ -309,6 +309,9 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(folder: Path, tmp_path: Path
     (tmp_path / "cut.h5").write_bytes(whole.read_bytes()[:-5000])
     with pytest.raises(InvalidSource, match="no such shard, folder, URDF or source"):
         source_of(str(tmp_path / "nowhere"))
+    for of_models in ({"category": "box"}, {"recipe": "quick"}, {"seed": 3}):
+        with pytest.raises(InvalidArgument, match="cabinet is a data set: no --category, --recipe"):
+            source_of(str(folder / "data" / "cabinet"), **of_models)  # type: ignore[arg-type]
     with h5py.File(shard(tmp_path / "old.h5", hinged_box(STATES)), "r+") as file:
         file.attrs["schema_version"] = 99
     for name in ("broken.h5", "cut.h5", "old.h5: schema version 99, this articugen reads"):

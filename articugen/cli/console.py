@@ -47,9 +47,8 @@ def sources_table(sources: Iterable[Source]) -> RenderableType:
 def plan_table(job: Job, plan: Plan) -> RenderableType:
     """Return what a run would do, and why."""
     table = facts()
-    reasons = grouped((task.why, task.ref.object_id) for task in plan.tasks)
     table.add_row("there already", counted(len(plan.done), "object"))
-    for why, objects in reasons.items():
+    for why, objects in grouped((t.why, t.ref.object_id) for t in plan.tasks).items():
         some = ", ".join(objects[:3]) + (", ..." if len(objects) > 3 else "")
         table.add_row(
             "to make", escape(f"{counted(len(objects), 'object')} ({some}), each because {why}")

@@ -344,10 +344,9 @@ def _details(result: Evaluation) -> list[str]:
 
 def _objects(result: Evaluation) -> list[str]:
     """Return a row an object, means over its instances, the worst labels first."""
-    rows = grouped((row.object, row.values) for row in result.measures)
     columns = [m for m in _OF_OBJECTS if any(m.name in row.values for row in result.measures)]
     table = []
-    for name, values in rows.items():
+    for name, values in grouped((row.object, row.values) for row in result.measures).items():
         known = [(m, [row[m.name] for row in values if m.name in row]) for m in columns]
         means = [(m, m.factor * np.mean(v) if v else np.nan) for m, v in known]
         cells = [name.replace("|", "\\|"), f"{len(values)}"]

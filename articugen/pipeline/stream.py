@@ -216,9 +216,8 @@ class Stream(Iterator[Row]):
         from articugen.store.torch_dataset import TorchStream  # noqa: PLC0415 - torch is optional
 
         there = sorted(self.job.recipe.fields())
-        for name in fields:
-            if name not in there:
-                raise InvalidArgument(unlisted("field", name, there))
+        if wrong := [name for name in fields if name not in there]:
+            raise InvalidArgument(unlisted("field", wrong[0], there))
         return TorchStream(self.part(0, 1), tuple(fields))
 
 

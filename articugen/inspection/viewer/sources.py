@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from articugen.core import records
-from articugen.core.errors import ArticugenError, InvalidSource, NotOfCategory
+from articugen.core.errors import ArticugenError, InvalidArgument, InvalidSource, NotOfCategory
 from articugen.core.recipe import Recipe
 from articugen.core.records import JointKind
 from articugen.core.schema import Instance
@@ -125,6 +125,8 @@ def source_of(
     place = Path(path)
     patterns = (MANIFEST_NAME, "*.h5", f"*/{MANIFEST_NAME}")
     if place.suffix == ".h5" or any(match for pattern in patterns for match in place.glob(pattern)):
+        if category or recipe or seed:
+            raise InvalidArgument(f"{path} is a data set: no --category, --recipe or --seed")
         data = open_data_set(place)
         if not data.objects:
             raise InvalidSource(f"{data.path}: holds no instance; make some with generate")
