@@ -54,7 +54,7 @@ def test_the_split_alone_and_some_instances_alone(boxes, tmp_path):
     assert len(list((tmp_path / "test").rglob("*.ply"))) == 4
     ag.export(ag.open(boxes)[:3], "ply", tmp_path / "some")
     assert len(list((tmp_path / "some").rglob("*.ply"))) == 3
-    with pytest.raises(InvalidArgument, match="no instance is of split 'tset'; did you mean"):
+    with pytest.raises(InvalidArgument, match="no split 'tset'; did you mean"):
         ag.export(boxes, "ply", tmp_path / "none", split="tset")
 
 

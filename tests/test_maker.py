@@ -164,11 +164,11 @@ def test_the_states_of_a_row_are_what_at_takes(cabinet, digits, index, share):
 @pytest.mark.parametrize(
     ("state", "sentence"),
     [
-        ({"dor": 1.0}, "no joint 'dor' moves; did you mean 'door'"),
+        ({"dor": 1.0}, "no moving joint 'dor'; did you mean 'door'"),
         ({"door": 1.6}, r"joint 'door' at 1.6 rad is outside its range, 0 to 1.57"),
         ({"slide": -0.01}, r"joint 'slide' at -0.01 m is outside its range, 0 to 0.2"),
         ({"slide": 0.2000012}, "at 0.2000012 m is outside its range, 0 to 0.2;"),
-        ({0: 0.1}, "no joint 0 moves; those that do: door"),
+        ({0: 0.1}, "no moving joint '0'; there are: door"),
         ({"door": np.nan}, "outside its range"),
         ({"door": "0.5"}, "joint 'door' at '0.5' is no number; give one, rad from the canonical"),
         ({"slide": None}, "joint 'slide' at None is no number; give one, m from the canonical"),

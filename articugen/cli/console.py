@@ -13,9 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from articugen.cli.saying import REJECTED, command, counting_bar, say, stderr, stdout
+from articugen.core.arrays import grouped
 from articugen.core.errors import ArticugenError
 from articugen.core.files import room_at
-from articugen.core.grouping import grouped
 from articugen.core.tables import counted, duration, facts, size
 from articugen.pipeline.job import Job
 from articugen.pipeline.options import ObjectReport, OnNotice, OnObject

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from articugen.core.errors import ArticugenError, MachineFault
+from articugen.core.errors import ArticugenError, MachineFault, machine_fault
 
 _CURES = {
     errno.ENOSPC: "the disk is full{room}; free some space or choose another output folder",
@@ -78,8 +78,19 @@ def read_regular(path: Path, most_bytes: int, *, follow: bool = True) -> bytes:
     return data
 
 
+def read_or_refuse(path: Path, most_bytes: int, refusal: type[ArticugenError], cure: str) -> bytes:
+    """Return the same; where it cannot be read, raise a `refusal` with its cure or a fault of the
+    machine."""
+    try:
+        return read_regular(path, most_bytes)
+    except OSError as error:
+        raise machine_fault(error) or refusal(
+            f"{path}: cannot be read: {error.strerror}; {cure}"
+        ) from error
+
+
 def open_regular(path: Path, most_bytes: int, *, follow: bool = True) -> BinaryIO:
-    """Return the same, for files that are better not read as a whole."""
+    """Return a file that is better not read as a whole, examined likewise and open."""
     try:
         _check_regular(os.stat(path, follow_symlinks=follow), most_bytes)
         # Whatever has taken its place meanwhile, opening it does not wait for a writer.

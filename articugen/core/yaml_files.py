@@ -11,8 +11,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from articugen.core.content import RECIPES
-from articugen.core.errors import ArticugenError, InvalidRecipe, machine_fault
-from articugen.core.files import read_regular
+from articugen.core.errors import ArticugenError, InvalidRecipe
+from articugen.core.files import read_or_refuse
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -83,12 +83,7 @@ def read_yaml(path: Path, refusal: type[ArticugenError]) -> Any:
 
 def yaml_bytes(path: Path, refusal: type[ArticugenError]) -> bytes:
     """Return the bytes of a YAML file, for `parsed_yaml`; raises as `read_yaml`."""
-    try:
-        return read_regular(path, MAX_YAML_BYTES)
-    except OSError as error:
-        raise machine_fault(error) or refusal(
-            f"{path}: cannot be read: {error.strerror}; correct it or name another file"
-        ) from error
+    return read_or_refuse(path, MAX_YAML_BYTES, refusal, "correct it or name another file")
 
 
 def parsed_yaml(data: bytes | str, where: str, refusal: type[ArticugenError]) -> Any:
@@ -222,7 +217,7 @@ def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
 def unlisted(what: str, name: str, known: Iterable[str]) -> str:
     """Return a sentence on a name that nothing has, with the nearest of those known, and all."""
     there = list(known)
-    return f"no {what} {name!r}{nearest(name, there)}; there are: {', '.join(there)}"
+    return f"no {what} {name!r}{nearest(name, there)}; there are: {', '.join(there) or 'none'}"
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from articugen.core.arrays import grouped
 from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.geometry import area_vectors
-from articugen.core.grouping import grouped
 from articugen.core.portable import norm
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance

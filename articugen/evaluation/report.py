@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from articugen.core.grouping import grouped
+from articugen.core.arrays import grouped
 from articugen.evaluation import paper
 from articugen.evaluation.results import EvaluatedRun, Evaluation, JointLine, RunEvaluation
 

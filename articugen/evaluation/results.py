@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from articugen.core.errors import InvalidCheckpoint
-from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.files import read_or_refuse, write_atomically
 from articugen.core.yaml_files import fault_in
 
 FILE = "evaluation.json"
@@ -173,10 +173,7 @@ def read_evaluation(run: Path, folder: str = "evaluation") -> RunEvaluation:
     path = run / folder / FILE
     cure = f"make it with: articugen evaluate {run}"
     try:
-        return RunEvaluation.model_validate_json(read_regular(path, MOST_BYTES))
-    except UnfitFile as error:
-        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away and {cure}") from None
-    except OSError:
-        raise InvalidCheckpoint(f"{path}: there is no such evaluation; {cure}") from None
+        text = read_or_refuse(path, MOST_BYTES, InvalidCheckpoint, cure)
+        return RunEvaluation.model_validate_json(text)
     except ValidationError as error:
         raise InvalidCheckpoint(f"{path}: not an evaluation ({fault_in(error)}); {cure}") from None

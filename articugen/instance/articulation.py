@@ -11,10 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import NotOfCategory, RejectedInstance
 from articugen.core.geometry import apply, bounds, invert_rigid, joint_motion
-from articugen.core.grouping import grouped
 from articugen.core.portable import product, turned
 from articugen.core.recipe import LEAST_STEP, Articulation
 from articugen.core.records import (

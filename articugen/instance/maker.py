@@ -27,7 +27,7 @@ from articugen.core.records import (
 )
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import unlisted
 from articugen.fusion.isosurface import extract_mesh
 from articugen.instance import articulation
 from articugen.instance.articulation import Canonical
@@ -360,10 +360,8 @@ class Maker(Sequence[Made]):
         known = {joint.name: joint for joint in self.joints}
         joint = known.get(name)
         if joint is None:
-            raise InvalidArgument(
-                f"{self.obj.object_id}: no joint {name!r} moves{nearest(str(name), list(known))}; "
-                f"those that do: {', '.join(known)}"
-            )
+            moving = unlisted("moving joint", str(name), known)
+            raise InvalidArgument(f"{self.obj.object_id}: {moving}")
         unit = "m" if joint.kind == JointKind.PRISMATIC else "rad"
         if np.ndim(value) or np.asarray(value).dtype.kind not in "iuf":
             raise InvalidArgument(

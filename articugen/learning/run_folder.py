@@ -26,10 +26,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from articugen.core.content import VERSION
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe
 from articugen.core.files import (
-    UnfitFile,
     locked,
     make_folder,
-    read_regular,
+    read_or_refuse,
     sync,
     whole_name,
     write_atomically,
@@ -377,15 +376,8 @@ def _board(folder: Path, after: int) -> Iterator[Callable[[dict[str, Any]], None
 
 def _read(path: Path) -> bytes:
     """Return a file of a run's folder."""
-    try:
-        return read_regular(path, MOST_BYTES)
-    except UnfitFile as error:
-        raise InvalidCheckpoint(f"{path}: {error.strerror}; move it away") from None
-    except OSError as error:
-        raise InvalidCheckpoint(
-            f"{path}: cannot be read ({error.strerror}): no run's folder, or a damaged one; start "
-            "a new run with: articugen train"
-        ) from None
+    cure = "no run's folder, or a damaged one; start a new run with: articugen train"
+    return read_or_refuse(path, MOST_BYTES, InvalidCheckpoint, cure)
 
 
 def _parsed(model: type[Record], text: bytes, where: str) -> Record:

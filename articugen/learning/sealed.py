@@ -15,7 +15,7 @@ import safetensors.numpy as safetensors
 from numpy.typing import NDArray
 
 from articugen.core.errors import InvalidCheckpoint
-from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.files import read_or_refuse, write_atomically
 
 MOST_BYTES = 1 << 31
 """That such a file may have; a checkpoint of PPD has 10 MB."""
@@ -112,12 +112,7 @@ def _put(data: dict[str, Any], keys: list[str], array: NDArray[Any]) -> None:
 
 
 def _unsealed(path: Path) -> bytes:
-    try:
-        image = read_regular(path, MOST_BYTES)
-    except UnfitFile as error:
-        raise InvalidCheckpoint(f"{path}: {error.strerror}; {CURE}") from None
-    except OSError as error:
-        raise InvalidCheckpoint(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
+    image = read_or_refuse(path, MOST_BYTES, InvalidCheckpoint, CURE)
     try:
         is_whole = sealed(image) == image
     except ValueError:

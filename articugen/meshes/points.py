@@ -12,7 +12,7 @@ import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import ArticugenError, InvalidSource
-from articugen.core.files import read_regular
+from articugen.core.files import read_or_refuse
 from articugen.core.geometry import apply, invert_rigid, points_on_triangles
 from articugen.core.records import Normalization
 from articugen.core.seeding import generator
@@ -90,10 +90,7 @@ def _shape_of_file(path: Path) -> tuple[Floats, Floats | None]:
     if read is None:
         known = ", ".join(_READERS)
         raise InvalidSource(f"{path}: neither a shard (.h5) nor points ({known})")
-    try:
-        data = read_regular(path, MOST_BYTES)
-    except OSError as error:
-        raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
+    data = read_or_refuse(path, MOST_BYTES, InvalidSource, "correct it or name another file")
     try:
         with np.errstate(all="ignore"):  # of what is no number `checked` tells
             numbers, triangles = read(data)

@@ -18,10 +18,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.colours import colour_of
 from articugen.core.errors import ArticugenError
-from articugen.core.grouping import grouped
 from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.pictures.camera import Camera

@@ -71,7 +71,7 @@ def stream(
     refs = opened.objects(job.category) if opened.is_made else objects_of(job, opened)
     splits = sorted({ref.split for ref in refs})
     if split and split not in splits:
-        raise InvalidArgument(f"no object is of split {split!r}; there are: {', '.join(splits)}")
+        raise InvalidArgument(unlisted("split", split, splits))
     return Stream(job, opened, refs, split or "", int(start))
 
 

@@ -4,7 +4,7 @@ import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 
-from articugen.core.grouping import grouped
+from articugen.core.arrays import grouped
 from articugen.sources.refs import Share
 
 TEST_FRACTION = 0.2  # of the objects of a source that says nothing about splits

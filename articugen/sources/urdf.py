@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import rotation_from_rpy, transform
-from articugen.core.grouping import grouped
 from articugen.core.portable import norm
 from articugen.core.records import ArticulatedObject, Floats, Joint, JointKind, Link, Mesh, Mimic
 from articugen.meshes import read

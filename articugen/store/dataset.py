@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, InvalidArgument
-from articugen.core.grouping import grouped
 from articugen.core.recipe import Recipe
-from articugen.core.yaml_files import nearest
+from articugen.core.yaml_files import nearest, unlisted
 from articugen.store.bucket import Remote
 from articugen.store.columns import Attribute
 from articugen.store.manifest import Manifest
@@ -145,10 +145,7 @@ class DataSet(Sequence[Row]):
             InvalidArgument: there is none.
         """
         if name not in self.splits:
-            raise InvalidArgument(
-                f"{self.path}: no instance is of split {name!r}{nearest(name, self.splits)}; there "
-                f"are: {', '.join(self.splits) or 'no instances at all'}"
-            )
+            raise InvalidArgument(f"{self.path}: {unlisted('split', name, self.splits)}")
         of_split = [entry.split == name for entry in self._shelf.entries]
         return DataSet(self._shelf, self._where[np.array(of_split)[self._where[:, 0]]])
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from articugen.core.errors import CorruptShard, printable
-from articugen.core.files import UnfitFile, read_regular, write_atomically
+from articugen.core.files import read_or_refuse, read_regular, write_atomically
 from articugen.core.place import Folder
 from articugen.core.schema import SCHEMA_VERSION
 from articugen.core.yaml_files import fault_in
@@ -256,17 +256,8 @@ class Manifest(Record):
             CorruptShard: there is none, it is of another version, or not as it was written.
         """
         path = folder / name
-        try:
-            text = read_regular(path, MOST_BYTES)
-        except UnfitFile as error:
-            raise CorruptShard(
-                f"{path}: {error.strerror}; move it away, or choose another folder"
-            ) from None
-        except OSError as error:
-            raise CorruptShard(
-                f"{path}: cannot be read ({error.strerror}); a run that was cut short goes on when "
-                "it is started again"
-            ) from None
+        cure = "a run that was cut short goes on when it is started again; else move it away"
+        text = read_or_refuse(path, MOST_BYTES, CorruptShard, cure)
         return _parsed(text, path, lambda page: read_regular(folder / page.name, page.bytes))
 
     @staticmethod

@@ -8,8 +8,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from articugen.core import schema
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, InvalidArgument, machine_fault
-from articugen.core.grouping import grouped
 from articugen.core.yaml_files import unlisted
 from articugen.store.bucket import Remote, is_url
 from articugen.store.columns import Attribute, Column

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from articugen.core import processes
+from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, spelt_out
 from articugen.core.files import read_regular
-from articugen.core.grouping import grouped
 from articugen.core.recipe import Recipe
 from articugen.pipeline.folder import is_temporary, is_unfinished
 from articugen.store import croissant

@@ -10,8 +10,8 @@ few samples never are. All thresholds and their margins are in `bounds.py`.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import spelt_out
-from articugen.core.grouping import grouped
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
 from articugen.verify import extras

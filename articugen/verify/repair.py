@@ -10,9 +10,9 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from articugen.core.arrays import grouped
 from articugen.core.errors import ArticugenError, CorruptShard, RejectedInstance
 from articugen.core.files import write_atomically
-from articugen.core.grouping import grouped
 from articugen.core.place import Folder
 from articugen.core.recipe import Recipe
 from articugen.pipeline.executors.local import Local

@@ -10,7 +10,7 @@ from PIL import Image
 
 from articugen.core.arrays import Floats, Ints
 from articugen.core.errors import InvalidSource
-from articugen.core.files import read_regular
+from articugen.core.files import read_or_refuse
 from articugen.core.geometry import apply, bounds, invert_rigid, rotation_about, transform
 from articugen.core.records import Normalization
 from articugen.core.seeding import generator
@@ -78,10 +78,7 @@ class Posed:
 
 def contents(path: Path) -> bytes:
     """Return a file's bytes, or raise InvalidSource."""
-    try:
-        return read_regular(path, _MOST_BYTES)
-    except OSError as error:
-        raise InvalidSource(f"{path}: cannot be read ({error.strerror})") from None
+    return read_or_refuse(path, _MOST_BYTES, InvalidSource, "put it there as it was recorded")
 
 
 def picture(path: Path) -> Ints:

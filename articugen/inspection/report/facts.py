@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from articugen.core.arrays import Bools, Floats
-from articugen.core.grouping import grouped
+from articugen.core.arrays import Bools, Floats, grouped
 from articugen.core.records import ENCLOSED, JointKind, dequantize, is_material
 from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard

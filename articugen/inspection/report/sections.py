@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from articugen.core.arrays import grouped
 from articugen.core.colours import colour_of
-from articugen.core.grouping import grouped
 from articugen.core.records import JointKind
 from articugen.core.tables import counted, duration, size
 from articugen.inspection.likeness import Likeness, rows

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import apply, joint_motion, transform
-from articugen.core.grouping import grouped
 from articugen.core.portable import product, turned
 from articugen.core.records import Joint, JointKind, Mesh, Mimic
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted

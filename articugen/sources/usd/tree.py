@@ -5,10 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from articugen.core.arrays import Floats
+from articugen.core.arrays import Floats, grouped
 from articugen.core.errors import InvalidSource
 from articugen.core.geometry import joint_motion
-from articugen.core.grouping import grouped
 from articugen.core.portable import arctan2, dot, norm, product, turned
 from articugen.core.records import Joint, JointKind
 from articugen.sources.usd.physics import WORLD, PhysicsJoint
