@@ -160,8 +160,9 @@ def test_depth_input_and_the_release_s_protocol(folder, monkeypatch):
     monkeypatch.chdir(folder)
     data, run = folder / "data", folder / "runs-depth" / "box" / "000"
     few = ("--set", "schedule.stages=[{resolution: 1, iterations: 2}]", "--set", "schedule.batch=2")
-    done = articugen("train-depth", folder / "runs" / "box", "-d", data, *few)
+    done = articugen("train-depth", folder / "runs" / "box", "-d", data, *few, "--seed", 3)
     assert done.exit_code == 0, done.output
+    assert json.loads((run / "run.json").read_text())["seed"] == 3
     assert "2/2 held-out objects: latent" in done.output
     again = ("train-depth", folder / "runs" / "box", "-d", data, "--resume", run)
     assert articugen(*again, *few).exit_code == 0
