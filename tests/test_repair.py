@@ -374,7 +374,7 @@ def test_the_command_mends_and_says_what_it_did(folder, boxes):
     assert done.exit_code == 0
     assert f"{SHARD}: not the file that the manifest records" in done.output
     assert AGAIN in done.output
-    assert "3 shards, 6 instances are as they were made" in done.output
+    assert "3 shards, 6 instances as they were made" in done.output
     assert contents(folder) == contents(boxes / "made")
     with pytest.raises(InvalidArgument, match="belongs to a repair"):
         ag.verify(folder, drop_user=True)

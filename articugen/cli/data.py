@@ -21,7 +21,7 @@ from articugen.cli.saying import (
     stderr,
     stdout,
 )
-from articugen.core.tables import DIM, quiet_table, size
+from articugen.core.tables import DIM, counted, quiet_table, size
 from articugen.pipeline.options import option
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def site(
     compile_for("generate", "inspect")  # models are made again to measure the truth
     with counting_bar() as count_shard:
         done = write(data, out, jobs=jobs or default_jobs(), on_shard=count_shard)
-    say(f"{out / 'index.html'}: {done.objects:,} objects, {size(done.bytes)}")
+    say(f"{out / 'index.html'}: {counted(done.objects, 'object')}, {size(done.bytes)}")
 
 
 @offered("articugen compare data/oven real/oven --image farthest.png")
@@ -221,8 +221,8 @@ def verify(
             theirs = f"; {more} with a group 'user', which was not checked" if more else ""
             say(
                 ("✓", "green"),
-                f" {folder}: {report.shards} shards, {report.instances:,} instances are as they "
-                f"were made{theirs}{replayed}",
+                f" {folder}: {counted(report.shards, 'shard')}, "
+                f"{counted(report.instances, 'instance')} as they were made{theirs}{replayed}",
             )
         else:
             status = FAILED

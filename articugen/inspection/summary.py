@@ -14,7 +14,7 @@ from articugen.core import schema
 from articugen.core.arrays import Floats, Ints
 from articugen.core.records import ENCLOSED, STORED_KINDS, JointKind
 from articugen.core.schema import resolution_of
-from articugen.core.tables import DIM, quiet_table, size
+from articugen.core.tables import DIM, counted, quiet_table, size
 from articugen.store.columns import Attribute
 from articugen.store.shards import Shard, open_shard
 
@@ -81,9 +81,9 @@ def _heading(content: _Content) -> Text:
     counts = ", ".join(f"{n} {split}" for split, n in sorted(per_split.items(), reverse=True))
     return Text.assemble(
         (f"{about['category']}", "bold"),
-        f"  {len(content.objects)} objects ({counts}), {content.instances:,} instances, "
-        f"seed {about['seed']}, schema {about['schema_version']}, "
-        f"articugen {about['articugen_version']}",
+        f"  {counted(len(content.objects), 'object')} ({counts}), "
+        f"{counted(content.instances, 'instance')}, seed {about['seed']}, "
+        f"schema {about['schema_version']}, articugen {about['articugen_version']}",
     )
 
 
