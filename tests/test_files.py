@@ -1,5 +1,6 @@
 """Files: hostile ones are refused before they are read, ours are whole or not there."""
 
+import errno
 import os
 import socket
 import tracemalloc
@@ -16,6 +17,7 @@ from articugen.core.files import (
     check_place,
     make_folder,
     partial_name,
+    read_or_refuse,
     read_regular,
     room_at,
     whole_name,
@@ -106,6 +108,23 @@ def test_what_is_not_there_is_an_ordinary_error(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/kallsyms").is_file(), reason="Linux only")
+def test_what_cannot_be_read_is_refused_with_a_cure_and_a_broken_disk_is_none_of_its_faults(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "file").write_bytes(b"12345")
+    assert read_or_refuse(tmp_path / "file", 5, InvalidSource, "mend it") == b"12345"
+    for name, why in (("file", "5 bytes, more than the 4"), ("none", "No such file")):
+        with pytest.raises(InvalidSource, match=f"{name}: cannot be read: {why}.*; mend it"):
+            read_or_refuse(tmp_path / name, 4, InvalidSource, "mend it")
+
+    def fails(*_args, **_more):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(files, "open_regular", fails)
+    with pytest.raises(MachineFault, match="Input/output error; the disk or the network"):
+        read_or_refuse(tmp_path / "file", 5, InvalidSource, "mend it")
+
+
 def test_a_file_that_is_larger_than_it_says(tmp_path):
     with pytest.raises(UnfitFile, match="more than the 10 bytes"):
         read_regular(Path("/proc/kallsyms"), 10)

@@ -288,7 +288,7 @@ def test_a_disk_that_does_not_answer_is_no_fault_of_the_recipe(tmp_path, monkeyp
     def fails(*_args):
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("articugen.core.yaml_files.read_regular", fails)
+    monkeypatch.setattr("articugen.core.files.read_regular", fails)
     with pytest.raises(MachineFault):
         load_recipe(written(tmp_path, "objects: 1"), "laptop")
 
