@@ -155,7 +155,7 @@ def test_a_folder_of_which_nothing_can_be_made_ends_in_a_sentence(tmp_path, monk
 @pytest.mark.parametrize(
     ("how", "sentence"),
     [
-        ({"split": "tset"}, "no split 'tset'; did you mean 'test'"),
+        ({"split": "tset"}, r"no split 'tset'; did you mean 'test'\?; there are: test, train"),
         ({"share": "2/2"}, "no share '2/2'; give i/n"),
         ({"start": -1}, "start is -1; give 0 or more"),
         ({"start": 1.5}, "start is 1.5; give a whole number"),
