@@ -18,9 +18,9 @@ from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
 from articugen.learning.loop import Training, train
-from articugen.learning.method import load_recipe
-from articugen.learning.ppd.depth import latents
-from articugen.learning.ppd.settings import LossSettings
+from articugen.learning.method import find_method, load_recipe
+from articugen.learning.ppd.depth import DepthLearner, latents
+from articugen.learning.ppd.settings import LossSettings, VarySettings, WarmStart
 from articugen.learning.predict import seen_by_a_camera
 from articugen.learning.recorded import watch
 from articugen.learning.run_folder import LATEST, RunFolder, read_checkpoint
@@ -90,6 +90,63 @@ def test_stop_and_resume_gives_the_same_curve_and_weights(base, whole, boxes, tm
     done = trained(boxes, resume=part.path)
     assert curve(done) == curve(whole)
     assert same_state(done, whole)
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory):
+    """Boxes, and a run whose objects were varied; its joints lie beside it."""
+    boxes = write_boxes(tmp_path_factory.mktemp("varied") / "box", train=3, test=0, states=5)
+    wild = {"vary": VarySettings(stretch=0.3, shrink=0.3, mirror=True, shift=True),
+            "warm_start": WarmStart(share=0.5, groups="given")}  # fmt: skip
+    recipe = TINY.model_copy(update=wild)
+    return boxes, train(Training(recipe, "box", boxes, tmp_path_factory.mktemp("runs"))).path
+
+
+def test_both_clouds_are_varied_alike_where_the_teacher_s_objects_were(varied, tmp_path):
+    boxes, teacher = varied
+    recipe = load_recipe({"extends": "ppd_depth", "teacher": str(teacher), "schedule": PLAN})
+    learner = find_method(recipe.method).start(recipe, seed=0, device=torch.device("cpu"))
+    assert isinstance(learner, DepthLearner)
+    what, notes = Training(recipe, "box", boxes, tmp_path), []
+    training = next(what.instances(learner, 0, notes.append)[0])
+    learner.begin(training, tmp_path, notes.append)
+    assert not any("looking for joints" in note for note in notes)
+    there, copied = (sorted(p.name for p in (f / "joints").iterdir())
+                     for f in (teacher.parent, tmp_path))  # fmt: skip
+    assert there == copied
+    assert there
+    clouds = {}
+    for name, network in (("partial", learner.student), ("complete", learner.teacher)):
+        network.register_forward_pre_hook(
+            lambda _, given, name=name: clouds.update({name: given[0].clone()})
+        )
+    rows, rng = list(range(len(training))), torch.Generator().manual_seed(0)
+    batch = training.batch(rows, learner.inputs, 1, rng)
+    learner.learn(batch, rng, iteration=0)
+    before = {"partial": batch.cloud, "complete": unpacked(training.surface[rows, :200])}
+    maps = {}
+    for name, cloud in clouds.items():
+        was, now = (c - c.mean(1, keepdim=True) for c in (before[name], cloud))
+        scale = (was * now).sum(1) / was.square().sum(1)
+        shift = cloud.mean(1) - scale * before[name].mean(1)
+        torch.testing.assert_close(cloud, before[name] * scale[:, None] + shift[:, None])
+        maps[name] = torch.stack([scale, shift])
+    torch.testing.assert_close(maps["partial"], maps["complete"], atol=1e-4, rtol=1e-4)
+    scale, shift = maps["complete"]
+    assert scale.abs().std(0).min() > 0.02
+    assert {True, False} == set((scale[:, 1] < 0.0).tolist())
+    assert shift.abs().max() > 0.02
+
+
+def test_the_third_stage_of_varied_objects_resumes_exactly_without_its_teacher(varied, tmp_path):
+    boxes, base = varied
+    done = third_stage(boxes, base, tmp_path / "whole")
+    teacher = shutil.copytree(base, tmp_path / "teacher")
+    part = third_stage(boxes, teacher, tmp_path / "part", stop_after=7)
+    shutil.rmtree(teacher)
+    again = trained(boxes, resume=part.path)
+    assert curve(again) == curve(done)
+    assert same_state(again, done)
 
 
 def test_a_teacher_that_was_trained_by_another_recipe_meanwhile_is_refused(base, boxes, tmp_path):

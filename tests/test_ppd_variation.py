@@ -22,7 +22,7 @@ from articugen.learning.ppd.network import rest_states
 from articugen.learning.ppd.settings import ModelSettings, PPDRecipe, VarySettings
 from articugen.learning.ppd.warm.found import Known, stored
 from articugen.learning.ppd.warm.targets import targets
-from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
+from articugen.learning.ppd.warm.variation import CHANCES, Variation
 
 MODEL = ModelSettings(part_boxes=True)
 R = len(MODEL.revolute)
@@ -65,7 +65,7 @@ def test_a_varied_sample_moves_as_is_asked_of_it(split, joints, seed):
     are asked for."""
     rows = torch.arange(len(split))
     chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(seed))
-    mirrored = is_mirrored(chance, True)
+    mirrored = chance[:, 0] < 0.5
     assert mirrored.any()
     assert not mirrored.all()
     aim = aims(split, *joints).of(rows, mirrored)
@@ -91,8 +91,8 @@ def test_a_varied_sample_moves_as_is_asked_of_it(split, joints, seed):
 def test_objects_stay_in_the_cube_and_are_no_larger(split):
     rows = torch.arange(len(split)).repeat(40)
     chance = torch.rand(len(rows), CHANCES, generator=torch.Generator().manual_seed(1))
-    aim = aims(split, DRAWER).of(rows, is_mirrored(chance, True))
-    variation = Variation.of(chance, is_mirrored(chance, True), aim, WILD)
+    aim = aims(split, DRAWER).of(rows, chance[:, 0] < 0.5)
+    variation = Variation.of(chance, chance[:, 0] < 0.5, aim, WILD)
     moved = variation.moved(unpacked(split.surface[rows]))
     assert moved.abs().max() <= 0.5
     edges = (variation.scale.abs() * aim.extent).amax(1) / aim.extent.amax(1)
@@ -108,7 +108,9 @@ def test_points_spread_over_the_cube_stay_so_and_know_what_is_free(split):
     batch = split.batch(rows, SPEC, 32, torch.Generator().manual_seed(0))
     aim = aims(split, DRAWER).of(batch.rows)
     small = VarySettings(shrink=0.5)
-    variation = Variation.of(batch.chance, is_mirrored(batch.chance, False), aim, small)
+    variation = Variation.of(
+        batch.chance, torch.zeros(len(batch.rows), dtype=torch.bool), aim, small
+    )
     varied, freed = variation.batch(batch)
     assert varied.points.abs().max() <= 0.5 + 1e-6
     assert torch.equal(varied.occupied, batch.occupied & ~freed)
@@ -127,7 +129,7 @@ def test_normals_stay_upright_on_what_is_stretched_and_mirrored(split):
     batch = split.batch(range(len(split)), SPEC, 32, torch.Generator().manual_seed(0))
     out = torch.nn.functional.normalize(torch.randn(batch.cloud.shape), dim=2)
     batch = replace(batch, cloud=0.3 * out, normals=out)
-    mirrored = is_mirrored(batch.chance, True)
+    mirrored = batch.chance[:, 0] < 0.5
     variation = Variation.of(batch.chance, mirrored, aims(split, DRAWER).of(batch.rows), WILD)
     varied, _ = variation.batch(batch)
     expected = (varied.cloud - variation.shift[:, None]) / variation.scale[:, None] ** 2
@@ -155,7 +157,9 @@ def test_without_chances_and_settings_nothing_changes(split):
     aim = aims(split, HINGE).of(batch.rows)
     none = VarySettings()
     assert not none
-    variation = Variation.of(batch.chance, is_mirrored(batch.chance, False), aim, none)
+    variation = Variation.of(
+        batch.chance, torch.zeros(len(batch.rows), dtype=torch.bool), aim, none
+    )
     varied, freed = variation.batch(batch)
     assert not freed.any()
     torch.testing.assert_close(varied.cloud, batch.cloud, atol=1e-6, rtol=0)

@@ -4,11 +4,10 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra, installing
+from articugen.core.errors import ArticugenError, InvalidCheckpoint, MissingExtra
 
 try:
     import safetensors  # noqa: F401 - what checkpoints are written with
@@ -412,11 +411,6 @@ def hints(data: FolderLike | Sequence[FolderLike] = ()) -> list[str]:
                 "category is learnt in a frame that its objects share, so turn those that lie "
                 "turned by mistake"
             )
-    if not find_spec("tensorboard"):
-        advice.append(
-            "tensorboard is not installed, so metrics go to metrics.jsonl alone; for both: "
-            + installing("tensorboard")
-        )
     return advice
 
 

@@ -44,8 +44,7 @@ class Reader(Protocol):
 
     def detect(self, path: Path) -> Found | None:
         """Return the model that a file or folder is, as it is named in a folder of others; None
-        where it is none of this layout. Asked of everything in a folder: a few names must
-        do."""
+        where it is none of this layout. Asked of everything in a folder: few names must do."""
         ...
 
     def load(self, ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:

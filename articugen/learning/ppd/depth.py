@@ -2,11 +2,14 @@
 
 A new encoder learns to give, from a partial cloud, the latent vector that the first one gives for
 the complete cloud of the same instance; the loss is their mean squared difference. The decoders
-stay as they are.
+stay as they are. Where the teacher's objects were varied, which the paper does not do, so are both
+clouds, alike.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import torch
@@ -18,19 +21,16 @@ from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.ppd.learner import VALIDATION_GRID, PPDLearner, Predictor, validation
-from articugen.learning.ppd.network import PPD, encoder_of
+from articugen.learning.ppd.learner import PPDLearner, Predictor, validation
+from articugen.learning.ppd.network import encoder_of
 from articugen.learning.ppd.settings import DepthRecipe
+from articugen.learning.ppd.warm.found import FOLDER
 from articugen.learning.run_folder import LATEST, read_checkpoint
 from articugen.learning.tensors import made
 
 
 class DepthLearner(Predictor):
-    """The second encoder, beside the decoders of a run whose first stages are done.
-
-    Args:
-        seed: decides its weights.
-    """
+    """The second encoder, beside the decoders of a run whose first stages are done."""
 
     def __init__(self, settings: DepthRecipe, seed: int, device: torch.device) -> None:
         taught = settings.taught
@@ -38,50 +38,58 @@ class DepthLearner(Predictor):
             raise InvalidRecipe(f"{settings.name}: names no teacher; set teacher to a run's folder")
         self.settings: DepthRecipe = settings  # pyright: ignore[reportIncompatibleVariableOverride]
         self.taught = taught
+        self.first = PPDLearner(taught, seed, device)
+        needs, also = self.first.inputs, ("joints", "poses", "groups", "normals", "chances")
         self.inputs = BatchSpec(
-            taught.data.surface_points,
-            occupancy=taught.data.occupancy,
-            grids=(VALIDATION_GRID,) if taught.data.validation_objects else (),
-            partial=True,
-        )
+            needs.surface_points, occupancy=needs.occupancy, grids=needs.grids, partial=True,
+            **{name: getattr(needs, name) for name in also if taught.vary},
+        )  # fmt: skip
         self.points = None
         self.residual_direction = False
+        self.model, self.teacher = self.first.model, self.first.model.encoder
         plain = taught.model.model_copy(update={"latent_start": "release"})
         with made(seed, device):
             self.student = encoder_of(plain).to(device)
-            self.model, self.teacher = PPD(taught.model), encoder_of(taught.model).to(device)
         self.model.encoder = self.student
-        self.model.to(device)
         self.descent = Descent(self.student)
         self.is_taught = False
 
     def begin(
         self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Take over the teacher's weights, if nothing was learned from it yet."""
+        """Take over the teacher's weights, if nothing was learned from it yet; where its objects
+        were varied, look for their joints, unless the teacher's folder has them."""
         if not self.is_taught:
-            path = Path(self.settings.teacher) / LATEST
-            point = read_checkpoint(path)
-            if point.recipe.sha256() != self.taught.sha256():
-                raise InvalidCheckpoint(
-                    f"{path}: is of another recipe than `taught`; leave that out"
-                )
-            if next(self.student.parameters()).is_meta:
-                return  # it is only asked whether it could begin
-            first = point.learner()
-            assert isinstance(first, PPDLearner)
-            self.residual_direction = first.residual_direction
-            encoder = {
-                f"encoder.{name}": value for name, value in self.student.state_dict().items()
-            }
-            self.model.load_state_dict(first.model.state_dict() | encoder)
-            self.teacher.load_state_dict(first.model.encoder.state_dict())
-            self.is_taught = True
-        self.wanted = self._wanted(training)
+            self._take_over()
+        self.whole = training.surface[:, : self.inputs.surface_points]
+        if self.taught.vary:
+            with suppress(OSError):  # none are there, or they are there
+                there = Path(self.settings.teacher).parent / FOLDER
+                copytree(there, beside / FOLDER, dirs_exist_ok=True)
+            self.first.begin(training, beside, notify)
+        elif self.is_taught:
+            self.wanted = latents(self.teacher, self.whole)
+
+    def _take_over(self) -> None:
+        path = Path(self.settings.teacher) / LATEST
+        point = read_checkpoint(path)
+        if point.recipe.sha256() != self.taught.sha256():
+            raise InvalidCheckpoint(f"{path}: is of another recipe than `taught`; leave that out")
+        if next(self.student.parameters()).is_meta:
+            return  # it is only asked whether it could begin
+        first = point.learner()
+        assert isinstance(first, PPDLearner)
+        self.residual_direction = first.residual_direction
+        self.teacher.load_state_dict(first.model.encoder.state_dict())
+        first.model.encoder = self.student
+        self.model.load_state_dict(first.model.state_dict())
+        self.is_taught = True
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
+        cloud, wanted = self._pairs(batch)
+
         def differ() -> Terms:
-            return {"latent": mse_loss(self.student(batch.cloud), self.wanted[batch.rows])}
+            return {"latent": mse_loss(self.student(cloud), wanted)}
 
         return self.descent.lower(differ, iteration, self.settings.schedule.rate_at(iteration))
 
@@ -91,10 +99,9 @@ class DepthLearner(Predictor):
     @torch.no_grad()
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """`latent`, the loss, over all cameras; `rec` and `iou` from what the first one sees."""
-        wanted = self._wanted(held_out)
+        wanted = latents(self.teacher, held_out.surface[:, : self.inputs.surface_points])
         losses = [mse_loss(self.student(unpacked(c)), wanted) for c in held_out.partial.unbind(1)]
-        partial = held_out.partial[:, 0]
-        rest = validation(self.model, partial, held_out, self.residual_direction)
+        rest = validation(self.model, held_out.partial[:, 0], held_out, self.residual_direction)
         return {"latent": float(torch.stack(losses).mean()), **rest}
 
     def state(self) -> dict[str, Any]:
@@ -112,8 +119,15 @@ class DepthLearner(Predictor):
         self.descent.optimiser.load(state["adam"])
         self.is_taught = True
 
-    def _wanted(self, split: PackedSplit) -> Tensor:
-        return latents(self.teacher, split.surface[:, : self.inputs.surface_points])
+    @torch.no_grad()
+    def _pairs(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return the clouds of a batch, and the latents that they are to have."""
+        if not self.taught.vary:
+            return batch.cloud, self.wanted[batch.rows]
+        _, variation = self.first.varied(batch)
+        assert variation
+        whole = variation.moved(unpacked(self.whole[batch.rows]))
+        return variation.moved(batch.cloud), self.teacher(whole)
 
 
 @torch.no_grad()

@@ -30,7 +30,7 @@ from articugen.learning.ppd.states import StateLearning
 from articugen.learning.ppd.warm import terms as warm_start
 from articugen.learning.ppd.warm.found import discovered
 from articugen.learning.ppd.warm.targets import Targets, is_one_sided, likely, targets
-from articugen.learning.ppd.warm.variation import CHANCES, Variation, is_mirrored
+from articugen.learning.ppd.warm.variation import CHANCES, Variation
 from articugen.learning.tensors import made
 
 MOVED_POSES, MOVED_POINTS = 6, 2048
@@ -133,7 +133,6 @@ class PPDLearner(Predictor):
         self.discriminator.to(device)
         self.mirrors = settings.vary.mirror
         self.points = settings.data.surface_points
-        self.turning = len(settings.model.revolute)
         self.at(0)
         self._begin_stage()
 
@@ -161,36 +160,36 @@ class PPDLearner(Predictor):
         if self.settings.warm_start.share:
             model = self.settings.model
             if self.inputs.groups == "found":
-                objects = len(set(training.object_id.tolist()))
-                shown = counted(objects, "object")
+                shown = counted(len(set(training.object_id.tolist())), "object")
                 notify(f"{len(training)} training instances show {shown}, by their clouds")
             discoveries, rows = discovered(training, beside, directions_of(model), notify)
             known = sum(one is not None for one in likely(discoveries, model))
             notify(f"joints are known of {known} of {len(discoveries)} training objects")
-            one_sided = is_one_sided(discoveries, model)
-            self.mirrors = self.settings.vary.mirror and not one_sided
-            if self.settings.vary.mirror and one_sided:
-                notify(
-                    "no object is mirrored: joints lean to one side, a mirror shows none like it"
-                )
+            self.mirrors = self.settings.vary.mirror and not is_one_sided(discoveries, model)
+            if self.settings.vary.mirror and not self.mirrors:
+                notify("no object is mirrored: joints lean to one side, in a mirror to another")
             self.targets = targets(training, discoveries, rows, model, mirrored=self.mirrors)
+
+    def varied(self, batch: Batch) -> tuple[Targets, Variation | None]:
+        """Return the targets of a batch as its objects are, and what varies them."""
+        mirrored = batch.chance[:, 0] < 0.5 if self.mirrors else batch.rows < 0
+        aim, vary = self.targets.of(batch.rows, mirrored), self.settings.vary
+        return aim, Variation.of(batch.chance, mirrored, aim, vary) if vary else None
 
     def prepared(
         self, batch: Batch
     ) -> tuple[Batch, Callable[[Prediction, Tensor], Terms] | None, Targets | None]:
         """Return the batch, varied where the recipe says so, what a warm start asks of the
         prediction for it, while there is one, and the targets of the batch that it found."""
-        warm, vary, turning = self.settings.warm_start, self.settings.vary, self.turning
+        warm, turning = self.settings.warm_start, len(self.settings.model.revolute)
         if not warm.share:
             return batch, None, None
-        mirrored = is_mirrored(batch.chance, self.mirrors)
-        aim = self.targets.of(batch.rows, mirrored)
+        aim, variation = self.varied(batch)
         owner = aim.owner(batch.points, batch.occupied)
         every = max(batch.cloud.shape[1] // LABELLED, 1)
         some = batch.cloud[:, ::every]
         labels = aim.owner(some, torch.ones_like(some[..., 0], dtype=torch.bool))
-        if vary:
-            variation = Variation.of(batch.chance, mirrored, aim, vary)
+        if variation:
             batch, freed = variation.batch(batch)
             owner = owner.masked_fill(freed, -1)
             aim, some = variation.targets(aim, turning), batch.cloud[:, ::every]
@@ -331,7 +330,6 @@ def motion_misfit(
 
 def _between(some: Tensor, others: Tensor) -> Tensor:
     """Return the mean square of the distance from points (B, n, 3) to the nearest of others, and
-    from
-    those to these: samples of one surface are never quite alike, and squares make little of it."""
+    back: samples of one surface are never quite alike, and squares make little of it."""
     far = torch.cdist(some, others)
     return far.amin(2).square().mean() + far.amin(1).square().mean()

@@ -160,8 +160,8 @@ def _hung(y0: float, z0: float, y1: float, ceiling: float, thickness: float) -> 
 # `side`, `sill` and `strip` are left free beside, below and above the door. What `front` says of
 # another door or the panel: the door ends at `cut` of the width, counted from the middle, or at
 # `middle` of the height; a tower's door is `tall`, `below` of what is left lies under it, and
-# `fronts` at most close what is left on either side. `both` doors open; `hinge` is "bottom" or
-# one of `_SIDES`.
+# `fronts` at most close what is left on either side. `both` doors open; `hinge` is "bottom" or one
+# of `_SIDES`.
 # fmt: off
 _SIDES = {
     "left": ("left",), "right": ("right",), "lefts": ("left",) * 2, "rights": ("right",) * 2,

@@ -23,13 +23,6 @@ CHANCES = 20
 them would be other numbers, and so every curve."""
 
 
-def is_mirrored(chance: Tensor, mirrors: bool) -> Tensor:
-    """Return (B,) which samples are mirrored, where some are; `chance` (B, CHANCES or 0)."""
-    if not mirrors:
-        return torch.zeros_like(chance[:, :0].sum(1), dtype=torch.bool)
-    return chance[:, 0] < 0.5
-
-
 @dataclass(frozen=True, eq=False)
 class Variation:
     """x becomes scale x + shift; B samples.
