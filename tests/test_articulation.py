@@ -395,6 +395,15 @@ def test_followers_stay_with_their_driver_after_it_is_zeroed_and_turned(canonica
         np.testing.assert_allclose(posed.T_world_link, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(("limits", "beyond"), [((0.2, 1.2), True), ((-0.4, 0.4), False)])
+def test_a_follower_beyond_its_limits_is_noted(limits, beyond):
+    """It goes from 0.4 to -0.4, whichever way the driver is turned."""
+    driver = joint("a", "prismatic", limits=(0.0, 1.0))
+    follower = joint("b", limits=limits, mimic=Mimic("a", -0.8, 0.4))
+    notes = [note for note in resolve(tree(driver, follower), Articulation()).notes if "b" in note]
+    assert any(note.endswith("where another joint takes it: b") for note in notes) == beyond
+
+
 def test_canonical_state_of_an_unresolved_object_obeys_its_mimics():
     np.testing.assert_allclose(canonical_state(scissors()).q, [0.0, 0.25, 0.6])
 

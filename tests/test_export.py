@@ -3,6 +3,7 @@
 import json
 import shutil
 import signal
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from command_line import run
 from hypothesis import given
 from hypothesis import strategies as st
 from instances import hinged_box
-from ppd_data import shard
+from ppd_data import rewrite, shard
 from python_process import ended
 
 import articugen as ag
@@ -215,6 +216,14 @@ def test_what_a_format_cannot_hold_is_left_out_and_said(boxes, tmp_path):
     done = ag.export(rows[without], "particulate", tmp_path / "out")
     assert done.left_out == ("box-0: its canonical pose, state 0, is not in the data",)
     assert ag.export(rows[without], "particulate", tmp_path / "out").left_out == done.left_out
+
+
+def test_particulate_leaves_out_what_has_no_surface(tmp_path):
+    path = shard(tmp_path / "train-00000.h5", hinged_box([(0.0, 0.0)], object_id="box-0"))
+    names = ("surface_points", "surface_normals", "surface_part")
+    rewrite(path, lambda rows: [replace(r, **{n: getattr(r, n)[:0] for n in names}) for r in rows])
+    with pytest.raises(InvalidArgument, match=r"box-0: 0 surface points are stored"):
+        ag.export(path, "particulate", tmp_path / "out")
 
 
 def test_models_that_are_gone_name_the_cure(boxes, tmp_path):

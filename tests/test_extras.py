@@ -301,6 +301,23 @@ def test_states_that_collide_are_drawn_again(tmp_path):
     assert all(made.instance.collision_depth < bound + 1e-3 for made in maker)
 
 
+LIFT = """<robot name="lift"><link name="base">
+<visual><origin xyz="0 0 0.05"/><geometry><box size="0.6 0.6 0.1"/></geometry></visual>
+<visual><origin xyz="0 0 1.4"/><geometry><box size="0.55 0.4 0.2"/></geometry></visual></link>
+<link name="lift"><visual><origin xyz="0.05 0 0.7"/><geometry><box size="0.3 0.3 1.0"/></geometry>
+</visual></link><joint name="up" type="prismatic"><parent link="base"/><child link="lift"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="1.2" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_states_are_apart_in_the_frame_that_is_left(tmp_path):
+    """A lift that goes through the roof would make the frame larger, and depths in it smaller."""
+    (tmp_path / "lift.urdf").write_text(LIFT)
+    bound, more = 0.02, {"states": 30, "collision": "reject", "collision_depth": 0.02}
+    maker = ag.Maker(ag.load(tmp_path / "lift.urdf"), ASKING | {"articulation": more})
+    depths = [made.instance.collision_depth for made in maker]
+    assert 0.5 * bound < max(depths) <= bound
+
+
 def test_where_hardly_any_state_is_free_one_sentence_says_so(tmp_path):
     path = tmp_path / "stuck.urdf"
     path.write_text(SLIDE.format(upper=0.29).replace('lower="0"', 'lower="0.25"'))

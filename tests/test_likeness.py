@@ -69,6 +69,17 @@ def test_the_nearest_are_found_and_proportions_told(sets: tuple[Path, Path]) -> 
     assert all(len(line) == 3 for line in rows(found))
 
 
+def test_the_height_of_an_axis_does_not_depend_on_where_its_pivot_lies(box, tmp_path):
+    axis = box.joint_axis.astype(float)
+    heights = []
+    for k, along in enumerate((0.0, 3.0)):
+        moved = replace(box, joint_pivot=box.joint_pivot + along * axis)
+        some = [replace(moved, object_id=name) for name in "ab"]
+        path = shard(tmp_path / f"train-{k:05d}.h5", some)
+        heights.append(likeness(path, path).first.measures["height of a joint"])
+    np.testing.assert_allclose(heights[0], heights[1], atol=1e-9)
+
+
 def test_a_set_is_as_near_to_itself_as_can_be(sets: tuple[Path, Path]) -> None:
     found = likeness(sets[0], sets[0])
     assert found.reached == 0.0

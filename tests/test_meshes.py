@@ -220,6 +220,9 @@ def test_stl_that_lies_is_refused(tmp_path):
     ):
         with pytest.raises(InvalidSource, match="export it again"):
             read_mesh(write(tmp_path / "m.stl", bad))
+    for short in (b"", b"\0" * 15, b"\1" * 40):
+        with pytest.raises(InvalidSource, match="does not fit its header; export it again"):
+            read_mesh(write(tmp_path / "m.msh", short))
     nan = bytearray(good)
     signalling = b"\1\0\x80\x7f"  # numpy warns of such a one
     for number in (struct.pack("<f", np.nan), signalling):

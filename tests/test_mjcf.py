@@ -330,6 +330,8 @@ WEDGES = '<asset><mesh name="w" file="meshes/wedge.obj"/></asset>'
         ('<geom type="mesh" mesh="w"/>', WEDGES.replace("name", 'scale="1 0 1" name'), "zero sc"),
         ('<geom type="mesh" mesh="w"/>', '<asset><mesh name="w" vertex="0 0"/></asset>', "threes"),
         ('<geom type="mesh" mesh="w"/>', '<asset><mesh name="w"/></asset>', "no triangle"),
+        ('<geom type="mesh" mesh="w"/>',
+         f'<asset><mesh name="w" vertex="0 0 0 1 1 1" face="0 1 {9**99}"/></asset>', "threes"),
         (BOX, '<compiler meshdir="/etc"/><include file="/etc/passwd.xml"/>', "does not exist"),
         (BOX, '<include file="../other.xml"/>', "leads out of"),
         (BOX, '<include file="model.xml"/>', "a second time"),

@@ -87,6 +87,8 @@ def test_folder_of_urdfs_in_many_layouts(tmp_path):
     add(tmp_path / "several" / "deep" / "two.urdf")
     add(tmp_path / "meshes" / "none.obj", "")
     add(tmp_path / ".hidden" / "x.urdf")
+    add(tmp_path / "single" / "urdf" / "._whatever.urdf")
+    add(tmp_path / "single" / ".backup" / "old.urdf")
     refs = open_source(str(tmp_path)).objects("anything")
     assert ids(refs) == ["plain", "several.deep.two", "several.one", "single"]
     assert len({ref.split for ref in refs if ref.object_id.startswith("several")}) == 1

@@ -307,6 +307,11 @@ def test_refused_with_file_element_and_reason(tmp_path, case):
     assert "\n" not in message
 
 
+def test_a_mimic_of_what_is_fixed_means_nothing(tmp_path):
+    text = two_links('<mimic joint="nobody"/>', kind="fixed")
+    assert read(tmp_path, text).joints[0].mimic is None
+
+
 def test_a_damaged_urdf_is_read_or_refused_and_nothing_else(tmp_path):
     (tmp_path / "t.obj").write_text(TRIANGLE)
     shapes = ('<mesh filename="t.obj" scale="2"/>', '<capsule radius="1" length="2"/>')

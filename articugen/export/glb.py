@@ -1,6 +1,6 @@
 """GLB (glTF 2.0): each object as watertight parts on its joints, with an animation a joint.
 
-Lengths are metres in the model's own frame.
+Lengths are metres in the world frame.
 """
 
 import numpy as np

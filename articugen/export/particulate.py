@@ -14,6 +14,7 @@ from articugen.core.geometry import apply, bounds, invert_rigid
 from articugen.core.seeding import generator
 from articugen.export.formats import Format
 from articugen.export.items import Item, canonical, file_name, of_objects
+from articugen.export.labels import need
 from articugen.export.target import Files
 from articugen.store.dataset import DataSet
 
@@ -22,6 +23,7 @@ _CELLS = 16  # along the unit frame: coarse enough that the density of points do
 
 def _write(item: Item, target: Files) -> None:
     row = canonical(item.rows)
+    need(row, "surface", 2)
     name = f"{file_name(row.split)}/{file_name(row.object_id)}.npz"
     groups = [_rest(item.rows, "surface")]
     if "sharp_points" in row.fields:

@@ -108,7 +108,7 @@ def part_boxes(rows: DataSet) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class MetricJoint(RowJoint):
-    """A joint in the model's own frame, canonical pose; its state there is 0.
+    """A joint in the world frame, canonical pose; its state there is 0.
 
     Attributes:
         name: as the model's file has it, or a made-up one; none is there twice.

@@ -171,7 +171,8 @@ def _measure(
         reach = float(instance.joint_upper[j] - instance.joint_lower[j])
         if kind == JointKind.REVOLUTE:
             to["range, degrees"].append(np.degrees(reach))
-            height = (float(instance.joint_pivot[j][2]) - middle[2]) / longest
+            axis, pivot = instance.joint_axis[j], instance.joint_pivot[j]
+            height = float((pivot + axis * (axis @ (middle - pivot)) - middle)[2]) / longest
             to["height of a joint"].append(height - float(cloud[:, 2].min()))
         else:
             to["range, of the object"].append(reach / longest)

@@ -272,8 +272,8 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
     """With v = m v_driver + b and v_driver = c + s q: v = (m c + b) + m s q."""
     driver, multiplier, offset = _driver(by_name, joint)
     plan = plans.get(driver, _Plan(0.0))
-    value = multiplier * plan.value + offset
-    ends = [value, multiplier * plan.lower, multiplier * plan.upper]
+    value, turn = multiplier * plan.value + offset, multiplier * plan.sign
+    ends = (value, value + turn * plan.lower, value + turn * plan.upper)
     if not np.all(np.abs(ends) <= _FARTHEST):
         raise RejectedInstance(
             f"joint {joint.name!r} follows {driver!r} beyond {_FARTHEST:,.0f} rad or m; correct "
@@ -281,13 +281,15 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
         )
     if not plan.moves or multiplier == 0.0:
         return _Plan(value, remarks=("locked, as the joints that drive them are",))
+    beyond = min(ends) < joint.lower - _TIE or max(ends) > joint.upper + _TIE
     return _Plan(
         value,
-        sign=float(np.sign(multiplier)) * plan.sign,
+        sign=float(np.sign(turn)),
         lower=abs(multiplier) * plan.lower,
         upper=abs(multiplier) * plan.upper,
         moves=True,
         mimic=Mimic(driver, abs(multiplier), 0.0),
+        remarks=("beyond the limits of the URDF, where another joint takes it",) * beyond,
     )
 
 

@@ -347,7 +347,7 @@ class Maker(Sequence[Made]):
         return self._made(driven)
 
     def random(self, count: int = 1, *, rng: int | np.random.Generator | None = None) -> list[Made]:
-        """Return the object at random joint states, as the recipe's are drawn.
+        """Return the object at joint states that are uniform in its ranges, or raise, as `at`.
 
         Args:
             rng: the same seed draws the same; None draws others each time.

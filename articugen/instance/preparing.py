@@ -167,12 +167,14 @@ def prepare(
         rng = generator(seed, obj.category, obj.object_id, index, "joints")
         states.append(_next_state(obj, recipe, states, rng))
     prepared = _prepared(obj, recipe, seed, tuple(states), reach)
-    if recipe.articulation.collision == "reject":
+    before = np.inf if recipe.articulation.collision == "reject" else 0.0
+    while prepared.unit.scale < before:  # in a smaller frame parts are deeper in one another
+        before = prepared.unit.scale
         apart, again = _states_apart(prepared)
         if again:
             note = f"{again} of {len(states)} states drawn again, parts were in one another"
-            obj = replace(obj, notes=(*obj.notes, note))
-            prepared = _prepared(obj, recipe, seed, apart, reach)
+            noted = replace(obj, notes=(*obj.notes, note))
+            prepared = _prepared(noted, recipe, seed, apart, reach)
     return prepared
 
 
@@ -218,23 +220,13 @@ def _prepared(
     rng = partial(generator, seed, obj.category, obj.object_id)
     swept = swept_box(mesh, motions[: len(states)])  # the same for any reach
     return Prepared(
-        obj=obj,
-        recipe=recipe,
-        seed=seed,
-        states=states,
-        canonical=canonical,
-        unit=unit,
-        mesh=mesh,
-        seen=np.concatenate([part.seen for part in parts]),
-        bvh=bvh,
-        views=views,
-        closed=np.concatenate([part.closed for part in parts]),
-        static=static,
-        overlay=None if recipe.fusion.rule == "rigid" else backend.overlay_on(static),
-        own=solids,
+        obj=obj, recipe=recipe, seed=seed, states=states, canonical=canonical, unit=unit,
+        mesh=mesh, seen=np.concatenate([part.seen for part in parts]), bvh=bvh, views=views,
+        closed=np.concatenate([part.closed for part in parts]), static=static,
+        overlay=None if recipe.fusion.rule == "rigid" else backend.overlay_on(static), own=solids,
         grids={r: Grid.of(r, solids[0], recipe) for r in recipe.sampling.grids},
         extras=_extras(mesh, solids, bvh, swept, recipe, rng, paint),
-    )
+    )  # fmt: skip
 
 
 def _small_note(

@@ -329,7 +329,8 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
 def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     """MuJoCo's own format: numbers of vertices, normals, texture coordinates and faces, and each of
     these."""
-    vertices, normals, coordinates, faces = (int(n) for n in np.frombuffer(data[:16], "<u4", 4))
+    counts = np.frombuffer(data[:16].ljust(16, b"\0"), "<u4")
+    vertices, normals, coordinates, faces = map(int, counts)
     skipped = 3 * normals + 2 * coordinates
     if len(data) != 16 + 4 * (3 * vertices + skipped + 3 * faces):
         raise InvalidSource(f"{path}: its size does not fit its header; export it again")

@@ -222,7 +222,7 @@ def _check_mimics(check: _Check, joints: dict[str, Any]) -> None:
     leads_to: dict[str, str] = {}
     for name, joint in joints.items():
         mimic = joint.find("mimic")
-        if mimic is None:
+        if mimic is None or joint.get("type") == "fixed":
             continue
         target = leads_to[name] = mimic.get("joint") or ""
         if target not in joints:

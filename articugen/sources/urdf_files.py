@@ -20,7 +20,8 @@ def find_at(child: Path) -> list[Found]:
     if not isdir(child):
         model = detect(child)
         return [model] if model else []
-    deep = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if detect(p)]
+    there = [p for d in ("*", "*/*", "*/*/*") for p in sorted(child.glob(d)) if detect(p)]
+    deep = [p for p in there if "/." not in f"/{p.relative_to(child)}"]  # hidden ones are not meant
     models = []
     for urdf in deep:
         inside = urdf.relative_to(child).with_suffix("").parts

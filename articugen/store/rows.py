@@ -268,7 +268,7 @@ class Row:
         return self._known[name]
 
     def to_metres(self, points: NDArray[Any]) -> Floats:
-        """Unit-frame points (..., 3) in the model's own frame, metres."""
+        """Unit-frame points (..., 3) in metres of the world frame, which a `yaw_degrees` turns."""
         return np.asarray(points, np.float64) * self.scale + self.center
 
     @cached_property

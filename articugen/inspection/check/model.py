@@ -260,15 +260,15 @@ class _Model:
 
     def joint(self, j: int, rest: Floats) -> JointChecked:
         """Check joint j; `rest` are the `depths` at rest."""
-        joint, at = self.obj.moving_joints[j], self.mesh.part(j + 1)
+        joint, part = self.obj.moving_joints[j], self.colliding.points[j + 1]
         states = [articulation.driven_state(self.obj, {joint.name: q}) for q in _values(joint)]
         deeper = np.stack([0.0 * rest, *(self.depths(state) - rest for state in states)])
         self.alone = np.maximum(self.alone, deeper.max(axis=0))
         bad = deeper.max(axis=(1, 2)) > TOO_DEEP
         worst = np.unravel_index(np.argmax(deeper), deeper.shape)
-        away, axis = at.vertices - self.unit.to_unit(self.posed.pivots[j]), self.posed.axes[j]
+        away, axis = part - self.unit.to_unit(self.posed.pivots[j]), self.posed.axes[j]
         off = norm(away - (away @ axis)[:, None] * axis).min(initial=np.inf)
-        hinge = joint.kind != JointKind.PRISMATIC and len(at.faces)
+        hinge = joint.kind != JointKind.PRISMATIC and len(part)
         return JointChecked(
             name=joint.name,
             kind=str(joint.kind),

@@ -95,7 +95,7 @@ def _written_out(asset: Any, by: str) -> Mesh:
     try:
         vertices = np.array(asset.get("vertex", "").split(), np.float64).reshape(-1, 3)
         faces = np.array(asset.get("face", "").split(), np.int64).reshape(-1, 3)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise InvalidSource(f"{by}: its vertex or face is not in threes; correct it") from None
     if not faces.size:
         whole = hull(vertices)
