@@ -188,6 +188,10 @@ def test_where_nothing_is_between_it_starts_again():
     learner.learn(batch, None, iteration=100)
     assert learner.restarts == 1
     assert (learner.network.W - before).abs().min() > 1.0
+    learner.stuck += 9
+    learner.settings = recipe(("continuous", 150), ("hard", 100), restart_after=3)
+    learner.learn(batch, None, iteration=200)
+    assert learner.restarts == 1  # a hard stage trains no first weights
     again = BSPLearner(learner.settings, 3, CPU)
     assert not torch.equal(again.network.T, learner.network.T)
     again.load(learner.state())

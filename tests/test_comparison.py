@@ -3,6 +3,8 @@
 import os
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,12 +14,16 @@ from test_workers import children
 
 torch = pytest.importorskip("torch", reason="learning needs torch")
 
+from learners import tiny
+
 from articugen.core.errors import ArticugenError, InvalidRecipe
+from articugen.core.files import locked
 from articugen.evaluation.results import read_evaluation
 from articugen.learning import budget
 from articugen.learning.comparison import compare, recipes_of
-from articugen.learning.loop import Progress
-from articugen.learning.method import load_recipe
+from articugen.learning.loop import Progress, Training, clock_of
+from articugen.learning.method import find_method, load_recipe
+from articugen.learning.ppd.settings import WarmStart
 from articugen.learning.run_folder import RunFolder
 
 torch.set_num_threads(1)
@@ -152,6 +158,50 @@ def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):
     assert scaled.sha256() != recipe.sha256()
     with pytest.raises(ArticugenError, match=r"^10 s are too few: .* give it a larger"):
         budget.scaled_to(10.0, what)
+
+
+def test_workers_that_have_ended_count():
+    clock = clock_of("cpu")
+    begun = clock()
+    subprocess.run([sys.executable, "-c", "sum(range(10**7))"], check=True)
+    assert clock() - begun > 0.05
+
+
+def test_joints_that_the_pace_has_found_are_not_looked_for_again(tmp_path):
+    data = write_boxes(tmp_path / "box", train=2, test=0, states=5)
+    warm = {"warm_start": WarmStart(share=1.0, groups="given")}
+    recipe = tiny({"surface_points": 200, "grid_points": 50}, (8, 4000), batch=2).model_copy(
+        update=warm
+    )
+    what, notes = Training(recipe, "box", data, tmp_path / "runs"), []
+    scaled = budget.scaled_to(30.0, what, lambda now: notes.append(now.who))
+    assert scaled.budget.start > 0.0
+    assert [p.name for p in (tmp_path / "runs").iterdir()] == ["joints"]
+    said = []
+    learner = find_method("ppd").start(scaled, seed=0, device=torch.device("cpu"))
+    learner.begin(next(what.instances(learner, 0, said.append)[0]), what.beside, said.append)
+    assert not any("looking for joints" in text for text in said)
+
+
+def test_a_comparison_that_is_under_way_is_left_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_boxes(tmp_path / "boxes", train=2, test=1, states=1)
+    folder = tmp_path / "comparison" / "box" / "0.1min"
+    folder.mkdir(parents=True)
+    with (
+        locked(folder),
+        pytest.raises(ArticugenError, match=r"0\.1min: another run is"),
+    ):
+        compare("boxes", minutes=0.1, jobs=1)
+
+
+def test_lists_may_name_several_categories_and_have_nothing_for_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_boxes(tmp_path / "boxes", train=2, test=1, states=1)
+    Path("list.yaml").write_text("- {extends: one_part, only: [oven, drawer]}\n")
+    assert len(recipes_of("list.yaml", "oven")) == len(recipes_of("list.yaml")) == 1
+    with pytest.raises(ArticugenError, match=r"list\.yaml: has no recipe for box"):
+        compare("boxes", "list.yaml", jobs=1)
 
 
 def test_what_counts_iterations_is_scaled_and_no_seeds_race():

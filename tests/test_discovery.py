@@ -459,5 +459,9 @@ def test_what_cannot_be_searched_is_said() -> None:
         discover([clouds[0], clouds[1][:, :2]])
     with pytest.raises(InvalidArgument, match="pose 0: has 10 points, too few"):
         discover([clouds[0][:10], clouds[1]])
+    out = [cloud / np.linalg.norm(cloud, axis=1, keepdims=True) for cloud in clouds[:2]]
+    out[1][3] = np.nan
+    with pytest.raises(InvalidArgument, match=r"normals of pose 1: 1 points are not finite"):
+        discover(clouds[:2], normals=out)
     with pytest.raises(InvalidArgument, match=r"pose 1: .* points are not finite"):
         discover([clouds[0], np.where(clouds[1] > 0.2, np.nan, clouds[1])])

@@ -10,14 +10,14 @@ from shapes import box
 
 from articugen.core.colours import COLOURS, UNNAMED, part_colours
 from articugen.core.geometry import apply
-from articugen.core.records import Normalization, dequantize
+from articugen.core.records import Normalization
 from articugen.core.schema import Instance
-from articugen.evaluation.evaluate import objects_of
 from articugen.evaluation.figures import (
     Example,
     Names,
     by_opening,
     draw_examples,
+    draw_interpolations,
     draw_reconstructions,
     reconstructions,
 )
@@ -56,14 +56,8 @@ def tiles(picture):
 
 def drawn(instances, reconstruct, names, **options):
     """Row by row; `reconstruct` is given instances."""
-    model = ("", of(instances, reconstruct), names)
+    model = ("", reconstruct, names)
     return sheet(reconstructions(instances, [model], FROM_ABOVE, **options))
-
-
-def of(instances, reconstruct=solid_truth):
-    """What reconstructs clouds: whichever instance a cloud is of."""
-    known = {dequantize(i.surface_points).tobytes(): i for i in instances}
-    return lambda cloud: reconstruct(known[cloud.tobytes()])
 
 
 def pixels_of(path):
@@ -102,9 +96,8 @@ def test_sheets_stand_in_rows_of_so_many():
 def test_a_test_object_of_each_run_stands_in_one_picture(tmp_path):
     """The first test object from its canonical pose to its widest, drawn as figures draw it."""
     data = write_boxes(tmp_path / "boxes", train=1, test=2, states=2)
-    instances, _ = objects_of(data, "test", None)
-    model = of(instances)
-    draw_examples(tmp_path / "examples.png", [Example("boxes", "model", data, model, RESULT)])
+    one = Example("boxes", "model", data, solid_truth, RESULT)
+    draw_examples(tmp_path / "examples.png", [one])
     with Image.open(tmp_path / "examples.png") as picture:
         true, predicted = tiles(picture.convert("RGB"))
     assert len(true) == 3
@@ -114,9 +107,7 @@ def test_a_test_object_of_each_run_stands_in_one_picture(tmp_path):
 
 def test_methods_stand_beside_each_other_in_rows_of_three(tmp_path):
     data = write_boxes(tmp_path / "boxes", train=1, test=1, states=2)
-    (instances,) = objects_of(data, "test", None)
-    model = of(instances)
-    examples = [Example("boxes", name, data, model, RESULT) for name in "abc"]
+    examples = [Example("boxes", name, data, solid_truth, RESULT) for name in "abc"]
     draw_examples(tmp_path / "examples.png", examples)
     with Image.open(tmp_path / "examples.png") as picture:
         assert picture.width == 3 * (3 * TILE + 2 * MARGIN)  # the truth, a, b; below it c
@@ -151,13 +142,24 @@ def test_parts_of_one_label_have_shades_of_its_colour():
 def test_a_method_that_only_segments_is_drawn_as_far_as_it_goes(tmp_path):
     """Without joints: its shapes, without question marks."""
     data = write_boxes(tmp_path / "boxes", train=1, test=1, states=1)
-    (objects,) = objects_of(data, "test", None)
 
     def segments(instance):
         return dataclasses.replace(solid_truth(instance), joints=None, T_part=None)
 
     path = tmp_path / "reconstructions.png"
-    draw_reconstructions(path, data, of(objects, segments), RESULT)
+    draw_reconstructions(path, data, segments, RESULT)
     picture = pixels_of(path)
     *_, last_caption = (row for row in np.array_split(picture[:-MARGIN], len(picture) // CAPTION))
     assert last_caption.min() > 200
+
+
+def test_between_objects_of_one_pose_is_drawn_too(tmp_path):
+    data, given = write_boxes(tmp_path / "boxes", train=1, test=2, states=0), []
+
+    def between(one, other, steps):
+        given.append((one.object_id, other.object_id, steps))
+        return [[solid_truth(one)] * steps] * 2
+
+    draw_interpolations(tmp_path / "between.png", data, between, RESULT)
+    assert given == [("box-1", "box-2", 6)]
+    assert pixels_of(tmp_path / "between.png").std() > 1.0

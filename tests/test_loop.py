@@ -12,7 +12,7 @@ from digests import curve, resumed_exactly, same_state
 from learners import assert_alike, tiny
 from ppd_data import rewrite, write_boxes
 
-from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged
+from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
 from articugen.core.yaml_files import known
 from articugen.learning.data import split
 from articugen.learning.data.batch import BatchSpec
@@ -337,6 +337,13 @@ def test_the_curve_is_the_one_that_was_committed(tmp_path, monkeypatch, name):
         assert have.keys() - {"seconds"} == want.keys()
         for what in want:
             assert have[what] == pytest.approx(want[what], rel=1e-3, abs=1e-5), what
+
+
+def test_a_grid_has_fewer_cells_than_points_are_asked_for(boxes, tmp_path):
+    recipe = TINY.model_copy(update={"data": DataSettings(grid_points=513, surface_points=200)})
+    with pytest.raises(UnfitData, match=r"lower it, a stage's grid has 8\^3 cells"):
+        start(boxes, tmp_path, recipe)
+    assert not list(tmp_path.rglob("recipe.yaml"))
 
 
 def test_training_learns(boxes, tmp_path):

@@ -249,7 +249,7 @@ def test_joints_are_read_off_motions_relative_to_the_base():
     axis = np.array([0.6, 0.0, -0.8])
     turned = transform(rotation_about(axis, 2.0), [0.3, 0.1, 0.0])
     slid = transform(None, [0.0, -0.25, 0.0])
-    gone = np.full((4, 4), np.nan)
+    gone = transform(rotation_about(axis, 1.0), np.full(3, np.nan))  # a fit without inliers
     points, part = np.zeros((4, 3)), np.arange(4)
     first = labelled_points(points, part, 4, T_part=np.tile(np.eye(4), (4, 1, 1)))
     T_part = np.stack([base, base @ turned, base @ slid, gone])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 
 import pytest
@@ -14,6 +15,8 @@ from ppd_data import write_boxes
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, UnfitData
 from articugen.core.records import dequantize
+from articugen.learning import recorded
+from articugen.learning.commands import draw, draw_examples, evaluate
 from articugen.learning.commands import train as trained
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split, unpacked
@@ -33,6 +36,8 @@ TINY = tiny(
     {"surface_points": 200, "grid_points": 50}, (8, 1), (8, 1), batch=2, validate_every=20,
     losses={"adv_g": 0.0, "adv_d": 0.0, "gradient_penalty": 0.0},
 )  # fmt: skip
+
+PARTIAL = BatchSpec(50, partial=True)
 
 PLAN = {
     "batch": 4, "learning_rate": 2e-3, "final_learning_rate": 2e-5, "log_every": 1,
@@ -157,6 +162,29 @@ def test_a_teacher_that_was_trained_by_another_recipe_meanwhile_is_refused(base,
         train(Training(other, "box", boxes, tmp_path))
 
 
+def test_figures_show_what_it_makes_of_what_one_camera_sees(whole, boxes, tmp_path, monkeypatch):
+    threads, given = torch.get_num_threads() + 1, []
+    reconstruct = DepthLearner.reconstruct
+    monkeypatch.setattr(DepthLearner, "reconstruct", lambda self, cloud, **how: (
+        given.append(len(cloud)), reconstruct(self, cloud, **how))[1])  # fmt: skip
+    run = shutil.copytree(whole.path, tmp_path / "run")
+    torch.set_num_threads(threads)
+    result = evaluate(run, boxes, resolution=8, states=2)
+    assert torch.get_num_threads() == threads
+    torch.set_num_threads(1)
+    measured = set(given)
+    given.clear()
+    assert all(path.is_file() for path in draw(run, boxes, result))
+    draw_examples([run], tmp_path / "examples.png", boxes)
+    assert set(given) == measured == {len(load_split(boxes, "test", PARTIAL, []).partial[0, 0])}
+
+
+def test_parts_of_surface_points_are_none_of_a_partial_cloud(boxes):
+    asks = BatchSpec(50, parts=True, partial=True)
+    batch = load_split(boxes, "train", asks, []).batch([0, 1], asks, 8, None)
+    assert batch.part.shape == (2, 0)
+
+
 def test_a_recipe_takes_model_and_data_from_its_teacher(base, whole, tmp_path):
     recipe = whole.recipe()
     assert (recipe.taught, recipe.data) == (TINY, TINY.data)
@@ -195,11 +223,19 @@ def test_a_camera_sees_a_part_of_the_surface_and_is_the_same_each_time():
         seen_by_a_camera(blind)
 
 
-def test_it_watches_a_recorded_laptop(tmp_path):
+def without_direction(outcome):
+    """What is measured where no part stands for the lid."""
+    numbers = {**outcome.numbers, "direction_degrees": math.nan}
+    return dataclasses.replace(outcome, numbers=numbers)
+
+
+def test_it_watches_a_recorded_laptop(tmp_path, monkeypatch):
     data = write_boxes(tmp_path / "laptop", category="laptop", **BOXES)
     base = train(Training(TINY, "laptop", data, tmp_path / "runs")).path
     recipe = load_recipe({"extends": "ppd_depth", "teacher": str(base), "schedule": PLAN})
     run = train(Training(recipe, "laptop", data, tmp_path / "depth")).path
+    real = recorded.measured
+    monkeypatch.setattr(recorded, "measured", lambda *of: without_direction(real(*of)))
     write, intrinsics = LAYOUTS["aod"]
     folder = write(scene(tmp_path, 3, intrinsics), tmp_path)
     outcome = watch(run, folder, images=3, out=tmp_path / "out", resolution=16)
@@ -209,5 +245,7 @@ def test_it_watches_a_recorded_laptop(tmp_path):
     with Image.open(outcome.figure) as picture:
         assert picture.width > 2 * TILE
         assert len(set(picture.convert("L").tobytes())) > 50
+    assert math.isnan(outcome.numbers["direction_degrees"])
+    assert json.loads((tmp_path / "out/numbers.json").read_text())["direction_degrees"] is None
     with pytest.raises(InvalidCheckpoint, match="make depth CATEGORY=laptop"):
         watch(base, folder, out=tmp_path)

@@ -16,6 +16,7 @@ from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDive
 from articugen.learning import commands
 from articugen.learning import race as race_module
 from articugen.learning.loop import Training, train
+from articugen.learning.method import load_recipe
 from articugen.learning.race import RACE, best_half, race
 from articugen.learning.recipe import DataSettings, Seeds
 from articugen.learning.run_folder import BEST, LATEST, METRICS, read_checkpoint
@@ -168,6 +169,12 @@ def test_seeds_that_cannot_be_compared_are_refused(change, said):
     with pytest.raises(InvalidRecipe, match=said):
         bad.with_seeds(2)
     assert bad.with_seeds(1).seeds.count == 1
+
+
+@pytest.mark.parametrize(("name", "choice"), [("ppd_quick", "rec or moved"), ("nsd", "left out")])
+def test_seeds_are_chosen_by_what_their_method_measures(name, choice):
+    with pytest.raises(InvalidRecipe, match=f"chosen_by must be {choice} in recipes of "):
+        load_recipe({"extends": name, "seeds": {"chosen_by": "iuo"}})
 
 
 def test_of_one_object_a_single_seed_is_trained(tmp_path):

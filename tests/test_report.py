@@ -141,11 +141,11 @@ def test_a_run_is_counted_in_its_own_row_of_the_ablation():
     )
     lines = [line.strip("| ") for line in text.split("table 5")[1].splitlines()]
     names = [line.split(" | ")[0].strip() for line in lines]
-    at = names.index("paper: w/o L_adv_g")
+    at = names.index("paper, mean: w/o L_adv_g")
     assert lines[at + 1].split() == ["r", "|", "50.00", "|", "3.000"]
-    assert names[names.index("paper: w/ all") + 1] == "a"
-    assert names[names.index("paper: w/o CS") + 1] == "paper: w/o CP"
-    assert lines[at].split()[3:] == ["|", "70.14", "|", "7.276"]
+    assert names[names.index("paper, mean: w/ all") + 1] == "a"
+    assert names[names.index("paper, mean: w/o CS") + 1] == "paper, mean: w/o CP"
+    assert lines[at].split()[4:] == ["|", "70.14", "|", "7.276"]
     assert "table 5" not in tables([result()])
 
 
@@ -174,7 +174,7 @@ def test_depth_input_has_its_row():
     cells, title = rows(tables([result(), by_depth])), "laptop, table 6: input"
     assert cells[title, "r, depth"] == ["7.00", "-", "-"]
     assert cells[title, "r"] == ["12.00", "50.00", "3.000"]
-    assert cells[title, "paper: depth"] == ["28.99", "80.65", "3.203"]
+    assert cells[title, "paper, mean: depth"] == ["28.99", "80.65", "3.203"]
     assert "table 6" not in tables([result()])
     cells = rows(tables([by_depth]))
     assert cells["laptop, shapes", "r, depth"] == ["7.00"]

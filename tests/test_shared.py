@@ -14,6 +14,7 @@ from articugen.core.geometry import rotation_about
 from articugen.core.records import Floats, JointKind
 from articugen.discovery import Category, discover_shared
 from articugen.discovery.alignment import Alignment, facing_of
+from articugen.discovery.objects import _matched
 from tests.shapes import box
 
 ANGLES = np.radians([5.0, 100.0, 40.0, 75.0, 120.0, 20.0, 60.0, 90.0])
@@ -104,6 +105,12 @@ def test_what_cannot_be_searched_is_refused() -> None:
         discover_shared(clouds, [*normals[:7], normals[7][:9]])
     with pytest.raises(InvalidArgument, match="pose 2: has 9 points, too few"):
         discover_shared([*clouds[:2], clouds[2][:9], *clouds[3:]], normals)
+
+
+def test_objects_may_have_more_joints_than_they_share() -> None:
+    """The second joint of some object is none of the category's."""
+    found, true = np.array([1, 1, 1, 0, 0]), np.array([1, 1, 2, 2, 0], np.uint8)
+    assert _matched(found, 1, true, 1) == {0: 0}
 
 
 def test_the_command_judges_what_a_data_set_shares(tmp_path: Path) -> None:

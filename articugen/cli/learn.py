@@ -78,20 +78,10 @@ def train(
         source = open_stream(category, "stream", stream) if stream else data
         with _progress_bar() as on_progress:
             run = commands.train(
-                source,
-                recipe,
-                method=method,
-                changes=changes,
-                category=category,
-                runs=runs,
-                seed=seed,
-                seeds=seeds,
-                jobs=jobs,
-                resume=resume,
-                device=device,
-                threads=threads,
+                source, recipe, method=method, changes=changes, category=category, runs=runs,
+                seed=seed, seeds=seeds, jobs=jobs, resume=resume, device=device, threads=threads,
                 on_progress=on_progress,
-            )
+            )  # fmt: skip
         say(f"done: {run.path}")
         of = data[0] if data else f"data/{category}"
         say(f"next: {command('evaluate', run.path, '--data', of)}")
@@ -117,16 +107,10 @@ def train_depth(
 
     teacher, recipe = newest(run), recipe or (None if resume else "ppd_depth_quick")
     train(
-        category=RunFolder(teacher).about()["category"],
-        data=[data],
-        recipe=recipe,
+        category=RunFolder(teacher).about()["category"], data=[data], recipe=recipe,
         changes=[*changes, *([f"teacher={json.dumps(str(teacher))}"] if recipe else [])],
-        runs=runs,
-        seed=seed,
-        resume=resume,
-        device=device,
-        threads=threads,
-    )
+        runs=runs, seed=seed, resume=resume, device=device, threads=threads,
+    )  # fmt: skip
 
 
 @offered("articugen evaluate runs/laptop --data data/laptop")
@@ -167,16 +151,10 @@ def evaluate(
     for place, out in zip(on or [None], folders, strict=True):
         with stderr.status("evaluating ...") as status:
             result = commands.evaluate(
-                run,
-                data,
-                protocol=protocol,
-                resolution=resolution,
-                label_poses=label_poses,
-                states=states or None,
-                jobs=jobs,
-                on=place,
+                run, data, protocol=protocol, resolution=resolution, label_poses=label_poses,
+                states=states or None, jobs=jobs, on=place,
                 on_object=lambda name, status=status: status.update(f"evaluated {name}"),
-            )
+            )  # fmt: skip
         say(markdown(result))
         say(f"written: {out}/evaluation.json, evaluation.md")
         if figures and protocol == "paper":

@@ -321,6 +321,8 @@ def surfaces_of(clouds: Sequence[Any], normals: Sequence[Any] | None = None) -> 
     outward = [np.ascontiguousarray(normal, np.float64) for normal in normals]
     if [normal.shape for normal in outward] != [cloud.shape for cloud in points]:
         raise InvalidArgument("normals are not one for each point; give those of each cloud")
+    for k, normal in enumerate(outward):
+        finite(normal, f"normals of pose {k}", InvalidArgument)
     return [Surface.bare(*both) for both in zip(points, outward, strict=True)]
 
 

@@ -74,8 +74,8 @@ def discover(
     Args:
         poses: K >= 2 clouds (n_k, 3) in one frame: points on the surface, or the centres of
             occupied voxels. Joints are found from pose 0 to the others.
-        normals: of these points, (n_k, 3) out of the material each, where they are known: the front
-            of a plate is not taken for its back then.
+        normals: of these points, (n_k, 3) of unit length, out of the material, where they are
+            known: the front of a plate is not taken for its back then.
         kinds: of joints that it may have, of REVOLUTE and PRISMATIC.
         directions: where joints of each kind point, give or take 30 degrees and the sign, (n, 3)
             each; unless it is known, turns about the coordinate axes and slides any way.

@@ -81,8 +81,8 @@ def discover(
     Args:
         poses: two or more, in one frame, turned any way: clouds (n, 3) or occupancy grids (R, R,
             R), which stand for the cube [-0.5, 0.5]^3; arrays, or .ply, .npy, .npz or .xyz files.
-        normals: of the points of clouds, (n, 3) out of the material each. Few joints are missed
-            where they are given.
+        normals: of the points of clouds, (n, 3) of unit length, out of the material. Few joints are
+            missed where they are given.
         cameras: (K, 3) where the one that saw each cloud was, instead of normals.
         joints: one or more kinds that the object may have, "revolute", "prismatic"; () is both.
 
@@ -376,7 +376,8 @@ def axes_apart(joint: FoundJoint, axis: Floats, pivot: Floats) -> float:
 def _matched(part: Ints, count: int, truth: NDArray[np.uint8], joints: int) -> Mapping[int, int]:
     """Match true joints with `count` that were found, by the number of points that their parts have
     in common."""
-    pairs = part[(part > 0) & (truth > 0)] - 1, truth[(part > 0) & (truth > 0)].astype(int) - 1
+    both = (part > 0) & (truth > 0) & (truth <= joints)  # some objects may have more
+    pairs = part[both] - 1, truth[both].astype(int) - 1
     common = np.zeros((joints, count), np.int64)
     np.add.at(common, pairs[::-1], 1)
     of: dict[int, int] = {}

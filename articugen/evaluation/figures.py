@@ -10,9 +10,9 @@ from articugen.core.arrays import grouped
 from articugen.core.colours import colour_of, part_colours, shaded
 from articugen.core.geometry import area_vectors
 from articugen.core.portable import norm
-from articugen.core.records import Floats, JointKind, dequantize
+from articugen.core.records import JointKind, dequantize
 from articugen.core.schema import Instance
-from articugen.evaluation.evaluate import objects_of, tested
+from articugen.evaluation.evaluate import Reconstruct, objects_of, tested
 from articugen.evaluation.reconstruction import Reconstruction, truth
 from articugen.evaluation.results import Evaluation
 from articugen.pictures.contact_sheet import evenly, opening
@@ -20,11 +20,8 @@ from articugen.pictures.layout import GREY, Caption, Row, in_columns, save, shee
 from articugen.pictures.portrait import best_azimuth, pooled, portrait, solid_portrait, tile_camera
 from articugen.pictures.solids import ColouredMesh, arrow
 
-Reconstruct = Callable[[Floats], Reconstruction]
-"""From a cloud (n, 3)."""
-
-Between = Callable[[Floats, Floats, int], tuple[Sequence[Reconstruction], Sequence[Reconstruction]]]
-"""Function of two clouds and a number of steps: shapes, and states."""
+Between = Callable[..., tuple[Sequence[Reconstruction], Sequence[Reconstruction]]]
+"""Function of two instances and a number of `steps`: shapes, and states."""
 
 STEPS = 6
 OBJECTS = 3
@@ -103,10 +100,10 @@ def draw_interpolations(
         ArticugenError: `path` cannot be written.
     """
     objects = [by_opening(i) for i in tested(data, on, INSTANCES - 1)]
-    one, other = evenly(objects[0], 3)[1], objects[-1][-1]
+    one, other = objects[0][len(objects[0]) // 2], objects[-1][-1]
     clouds = [dequantize(instance.surface_points) for instance in (one, other)]
     names = Names(result.labels, result.dominant)
-    shapes = between(clouds[0], clouds[1], STEPS)
+    shapes = between(one, other, steps=STEPS)
     points = np.concatenate([*clouds, *(f.triangles.reshape(-1, 3) for row in shapes for f in row)])
     camera = tile_camera(points, best_azimuth([other]))
     floor = float(clouds[0][:, 2].min())
@@ -179,7 +176,7 @@ def reconstructions(
     """
     drawn = evenly(instances, states)
     clouds = [dequantize(instance.surface_points) for instance in drawn]
-    shapes = [[reconstruct(cloud) for cloud in clouds] for _, reconstruct, _ in models]
+    shapes = [[reconstruct(instance) for instance in drawn] for _, reconstruct, _ in models]
     discs = pooled(evenly(instances, pool))
     parts = range(len(drawn[0].part_motion))
     axes = [_axes(instance, truth(instance), Names(parts, parts)) for instance in drawn]

@@ -67,7 +67,7 @@ class Reconstruction:
         if self.T_part is None or posed.T_part is None:
             return None
         motion = posed.T_part @ invert_rigid(self.T_part)
-        return np.where(np.isfinite(motion), motion, np.eye(4))
+        return np.where(np.isfinite(motion).all((1, 2), keepdims=True), motion, np.eye(4))
 
     def joint_motion_to(self, posed: "Reconstruction") -> Floats | None:
         """Return (P, 4, 4) the motions of parts by this shape's axes and the difference of joint

@@ -184,11 +184,11 @@ def tables(results: Sequence[RunEvaluation], refused: Mapping[str, str] | None =
     over = categories[0] if len(categories) == 1 else "means"
     columns = [(m.title, m, THERE) for m in (LABELS[0], SHAPES[0])]
     if len(of_ppd) > 1:
-        printed = {name: (f"paper: {name}", cells) for name, cells in paper.ABLATION.items()}
+        printed = {name: (f"paper, mean: {name}", c) for name, c in paper.ABLATION.items()}
         title = f"{over}, table 5: ablation"
         text += _table(title, columns, of_ppd, printed, lambda line: line.run.variant)
     if any(line.run.input == "depth" for line in lines):
-        printed = {name: (f"paper: {name}", cells) for name, cells in paper.INPUTS.items()}
+        printed = {name: (f"paper, mean: {name}", c) for name, c in paper.INPUTS.items()}
         columns = [(m.title, m, THERE) for m in (SHAPES[2], LABELS[0], SHAPES[0])]
         some = [line for line in lines if line.run.method in (paper.METHOD, "ppd_depth")]
         text += _table(f"{over}, table 6: input", columns, some, printed, lambda x: x.run.input)

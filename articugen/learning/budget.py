@@ -82,8 +82,8 @@ def _pace(what: Training, notify: Notify) -> tuple[float, list[float], float]:
         float(np.mean(took[end - count + SKIPPED : end - (end == last[-1])])) if count else 0.0
         for end, count in zip(last, counts, strict=True)
     ]
-    for shared in folder.glob("*.safetensors"):  # what the method found in the data
-        shared.replace(what.runs / shared.name)
+    for shared in {*folder.glob("*")} - {folder / "0"}:  # what the method found in the data
+        shutil.copytree(shared, what.runs / shared.name, dirs_exist_ok=True)
     shutil.rmtree(folder)
     first, check = float(took[0] - pace[0]), float(took[-1] - pace[-1])
     return max(first, 0.0), pace, max(check, 0.0)

@@ -19,7 +19,7 @@ except ImportError as error:
 
 from articugen.core.files import write_atomically
 from articugen.core.processes import default_jobs
-from articugen.core.records import JointKind, dequantize
+from articugen.core.records import Floats, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.core.yaml_files import with_settings
 from articugen.evaluation.evaluate import Reconstruct, check_splits
@@ -33,7 +33,7 @@ from articugen.learning import loop
 from articugen.learning.data.fitness import lying_otherwise, training_objects
 from articugen.learning.data.windows import Endless
 from articugen.learning.loop import Notify
-from articugen.learning.method import OfThread, Yardstick, find_method, load_recipe
+from articugen.learning.method import Learner, OfThread, Yardstick, find_method, load_recipe
 from articugen.learning.predict import (
     cloud_of_shard,
     cut,
@@ -45,6 +45,7 @@ from articugen.learning.predict import (
 from articugen.learning.race import race
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import LATEST, RunFolder, newest, read_checkpoint
+from articugen.learning.tensors import one_thread
 from articugen.meshes.points import Cloud, cloud_of_file
 from articugen.store.manifest import Manifest
 
@@ -140,6 +141,7 @@ def train(
     return race(what, jobs=min(at_once, settings.seeds.count), on_progress=on_progress)
 
 
+@one_thread()
 def evaluate(
     run: FolderLike,
     data: FolderLike,
@@ -176,7 +178,6 @@ def evaluate(
         UnfitData: a data set has no such object, or is of another category.
         ArticugenError: there is no such protocol, or `on` is called as another data set was.
     """
-    prepare(threads=1)
     if label_poses not in ("canonical", "all"):
         raise ArticugenError(f"--label-poses {label_poses}: canonical or all")
     folder, out = newest(run), evaluation_folder(run, protocol, on)
@@ -196,19 +197,18 @@ def evaluate(
     )  # fmt: skip
 
     learner, budget = point.learner(), point.recipe.budget
-    partial_clouds, of_thread = learner.inputs.partial, OfThread(learner)
+    of_thread = OfThread(learner)
 
     def at(grid: int) -> Reconstruct:
         def reconstruct(instance: Instance) -> Reconstruction:
-            complete = dequantize(instance.surface_points)
-            cloud = seen_by_a_camera(instance) if partial_clouds else complete
-            return by.reconstruct(of_thread.learner, cloud, grid)
+            learner = of_thread.learner
+            return by.reconstruct(learner, _given(learner, instance), grid)
 
         return reconstruct
 
     measured = measure(at(resolution), **({"finer": at(finer)} if finer else {}))
     evaluated = EvaluatedRun(
-        **point.about(), input="depth" if partial_clouds else "complete", protocol=protocol,
+        **point.about(), input="depth" if learner.inputs.partial else "complete", protocol=protocol,
         label_poses="both" if label_poses == "all" else "canonical", states=states,
         knows=learner.inputs.knows, parameters=learner.parameters, resolution=resolution,
         finer=finer, seconds=RunFolder(folder).seconds() + (budget.start if budget else 0.0),
@@ -248,18 +248,27 @@ def draw(run: FolderLike, data: FolderLike, result: RunEvaluation) -> list[Path]
     folder = evaluation_folder(run, result.run.protocol, on)
     learner = read_checkpoint(newest(run) / LATEST).learner()
     paths = [folder / "reconstructions.png"]
-    reconstruct = partial(learner.reconstruct, resolution=_finer(result))
+    reconstruct = _drawn_by(learner, result)
     figures.draw_reconstructions(paths[0], Path(data), reconstruct, result, on=on)
-    if between := getattr(learner, "between", None):  # what tells shapes and poses apart
+    if hasattr(learner, "between"):  # what tells shapes and poses apart
         paths.append(folder / "interpolations.png")
-        between = partial(between, resolution=_finer(result))
+        between = _drawn_by(learner, result, "between")
         figures.draw_interpolations(paths[1], Path(data), between, result, on=on)
     return paths
 
 
-def _finer(result: RunEvaluation) -> int:
-    """Return the grid of meshes that are drawn: finer than that which was evaluated on."""
-    return min(4 * result.run.resolution, 128)
+def _given(learner: Learner, instance: Instance) -> Floats:
+    """Return the points (n, 3) of an instance that a learner is given."""
+    if learner.inputs.partial:
+        return seen_by_a_camera(instance)
+    return dequantize(instance.surface_points)
+
+
+def _drawn_by(learner: Any, result: RunEvaluation, of: str = "reconstruct") -> Callable[..., Any]:
+    """Return a learner's `reconstruct` or `between`, of instances, by meshes that are finer than
+    those that were evaluated."""
+    make = partial(getattr(learner, of), resolution=min(4 * result.run.resolution, 128))
+    return lambda *some, **more: make(*(_given(learner, one) for one in some), **more)
 
 
 def tables(runs: Sequence[FolderLike]) -> str:
@@ -308,8 +317,7 @@ def draw_examples(
             folder_of_data /= point.category
         check_splits(folder_of_data, point.category)
         about = (point.category, point.recipe.name, folder_of_data)
-        reconstruct = partial(point.learner().reconstruct, resolution=_finer(result))
-        examples.append(figures.Example(*about, reconstruct, result))
+        examples.append(figures.Example(*about, _drawn_by(point.learner(), result), result))
     figures.draw_examples(Path(path), examples)
     return Path(path)
 
@@ -375,7 +383,6 @@ def predict(
         InvalidSource, CorruptShard: the cloud cannot be made sense of.
         ArticugenError: the model sees no surface.
     """
-    prepare()
     folder, cloud = newest(run), Path(cloud)
     point = read_checkpoint(folder / LATEST)
     learner = point.learner()

@@ -13,7 +13,7 @@ from typing import Any
 
 from articugen.core.content import RECIPES
 from articugen.core.errors import ArticugenError, InvalidCheckpoint, InvalidRecipe, MachineFault
-from articugen.core.files import make_folder, write_atomically
+from articugen.core.files import locked, make_folder, write_atomically
 from articugen.core.processes import Crew, report
 from articugen.core.yaml_files import read_yaml
 from articugen.evaluation.report import tables
@@ -24,6 +24,7 @@ from articugen.learning.loop import Notify, Progress, Training
 from articugen.learning.method import load_recipe
 from articugen.learning.recipe import TrainRecipe
 from articugen.learning.run_folder import RunFolder
+from articugen.learning.tensors import one_thread
 from articugen.store.manifest import Manifest
 
 AT_ONCE = 2
@@ -102,6 +103,7 @@ class Compared:
     figure: Path
 
 
+@one_thread()
 def compare(
     data: commands.FolderLike,
     recipes: str = "comparison",
@@ -132,7 +134,7 @@ def compare(
         UnfitData: there is no test object.
         ArticugenError: no recipe of the list could be trained.
     """
-    commands.prepare(device, threads=1)
+    commands.prepare(device)
     data = Path(data)
     category = Manifest.read(data).category
     commands.check_splits(data, category)
@@ -147,7 +149,7 @@ def compare(
     refused: dict[str, str] = {}
     make_folder(folder)
     workers = 0 if jobs == 1 else jobs if device == "cpu" else 1
-    with Crew(
+    with locked(folder), Crew(
         Entry.run, workers=workers, ready=partial(commands.prepare, threads=1),
         on_report=on_progress, notice=on_done,
         name=lambda entry: entry.what.recipe.name,
@@ -159,7 +161,8 @@ def compare(
             on_done(f"{name}: {sentence or 'finished'}")
     finished = [entry for entry in entries if entry.what.recipe.name not in refused]
     if not finished:
-        raise ArticugenError(": ".join(next(iter(refused.items()))))
+        none = (recipes, f"has no recipe for {category}")
+        raise ArticugenError(": ".join(next(iter(refused.items()), none)))
     measured = [read_evaluation(e.what.runs / str(seed)) for e in finished for seed in e.seeds]
     text = f"# {category}, {minutes:g} minutes each\n\n" + tables(measured, refused)
     write_atomically(folder / TABLES, text.encode())
@@ -185,7 +188,8 @@ def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
     recipes = [
         load_recipe({k: v for k, v in settings.items() if k != "only"} or str(entry))
         for entry, settings in zip(entries, keys, strict=True)
-        if category in (settings.get("only", category), None)
+        if category is None
+        or category in (o if isinstance(o := settings.get("only", category), list) else [o])
     ]
     names = [_file_name(recipe.name) for recipe in recipes]
     if twice := next((n for n in names if names.count(n) > 1), ""):

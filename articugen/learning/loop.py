@@ -6,6 +6,7 @@ resumed draws the same curve as one that was not.
 
 import hashlib
 import math
+import os
 import shutil
 import sys
 import time
@@ -20,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from articugen.core.errors import InvalidCheckpoint
+from articugen.core.errors import InvalidCheckpoint, UnfitData
 from articugen.core.memory import given_back
 from articugen.core.seeding import generator as seeded
 from articugen.learning.data.split import Folders, PackedSplit, folders_of, load_split
@@ -110,6 +111,8 @@ class Training:
         """Return the resolutions of the grids that are read."""
         spec = learner.inputs
         stages = {stage.resolution for stage in self.recipe.schedule.stages if spec.grid_points}
+        if small := [r for r in stages if r**3 < spec.grid_points]:
+            raise UnfitData(f"data.grid_points: lower it, a stage's grid has {small[0]}^3 cells")
         return frozenset({*stages, *spec.grids})
 
     def instances(
@@ -318,9 +321,9 @@ def train(
 
 
 def clock_of(device: str) -> Callable[[], float]:
-    """Return what training's seconds are counted by: this process's CPU time, or the clock where a
-    GPU learns."""
-    return time.process_time if device == "cpu" else time.perf_counter
+    """Return what training's seconds are counted by: CPU time, also of workers that have ended, or
+    the clock where a GPU learns."""
+    return (lambda: sum(os.times()[:4])) if device == "cpu" else time.perf_counter
 
 
 def split_objects(object_ids: Iterable[str], held_out: int) -> tuple[list[str], list[str]]:

@@ -8,9 +8,9 @@ processes take part.
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -22,6 +22,7 @@ from articugen.core.processes import Crew, report
 from articugen.learning.loop import SEEDS, SHARDS, Notify, Progress, Training, train
 from articugen.learning.method import find_method
 from articugen.learning.run_folder import BEST, LATEST, META, METRICS, RunFolder, read_checkpoint
+from articugen.learning.tensors import one_thread
 
 RACE = "race.json"
 
@@ -88,7 +89,7 @@ def race(what: Training, *, jobs: int = 1, on_progress: Notify = lambda _: None)
         with given_back(SHARDS):
             learner.begin(next(windows), what.beside, notify)
         del learner, windows  # all instances
-        with _crew(jobs, on_progress, notify) as crew:
+        with one_thread(), _crew(jobs, on_progress, notify) as crew:
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
@@ -131,27 +132,15 @@ def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
     write_atomically(run.path / RACE, (json.dumps(record, indent=1) + "\n").encode())
 
 
-@contextmanager
 def _crew(
     jobs: int, on_progress: Notify, notify: Callable[[str], None]
-) -> Iterator[Crew[Heat, dict[str, float] | None]]:
-    """Yield the crew that runs the heats: this process one after the other, or `jobs` workers."""
-    threads = torch.get_num_threads()
-    _use_one_thread()
-    try:
-        with Crew(
-            Heat.run,
-            workers=0 if jobs == 1 else jobs,
-            ready=_use_one_thread,
-            on_report=on_progress,
-            notice=notify,
-            name=lambda heat: f"seed {heat.what.seed}",
-        ) as crew:
-            yield crew
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _use_one_thread() -> None:
-    """Sums of floats depend on how many threads share them."""
-    torch.set_num_threads(1)
+) -> Crew[Heat, dict[str, float] | None]:
+    """Return the crew that runs the heats: this process one after the other, or `jobs` workers."""
+    return Crew(
+        Heat.run,
+        workers=0 if jobs == 1 else jobs,
+        ready=partial(torch.set_num_threads, 1),
+        on_report=on_progress,
+        notice=notify,
+        name=lambda heat: f"seed {heat.what.seed}",
+    )

@@ -136,6 +136,9 @@ class TrainRecipe(Section):
     COUNTED: ClassVar[tuple[str, ...]] = ()
     """Keys of a method's own that are numbers of iterations."""
 
+    MEASURED: ClassVar[tuple[str, ...]] = ()
+    """What `seeds.chosen_by` may be."""
+
     name: str
     method: str
     data: DataSettings = DataSettings()
@@ -155,6 +158,9 @@ class TrainRecipe(Section):
             raise ValueError("several seeds need data.validation_objects to choose by")
         if not self.schedule.stages:
             raise ValueError("schedule.stages: has none; give it one")
+        if self.seeds.chosen_by not in ("", *self.MEASURED):
+            choice = " or ".join(self.MEASURED) or "left out"
+            raise ValueError(f"seeds.chosen_by must be {choice} in recipes of {self.method}")
         for before, at in pairwise((0, *self.seeds.halve_at, self.schedule.iterations)):
             if self.seeds.count > 1 and not (before < at and before % validate_every == 0):
                 raise ValueError(

@@ -15,7 +15,7 @@ from articugen.evaluation.figures import Names, solid_of
 from articugen.evaluation.reconstruction import Reconstruction, labelled_points
 from articugen.evaluation.recorded import read_recording
 from articugen.evaluation.recorded.frames import Measured, Posed, into_unit_frame, measured
-from articugen.learning.commands import FolderLike, newest, prepare
+from articugen.learning.commands import FolderLike, newest
 from articugen.learning.run_folder import LATEST, read_checkpoint
 from articugen.pictures.layout import Row, save, sheet
 from articugen.pictures.portrait import solid_portrait, tile_camera
@@ -56,7 +56,6 @@ def watch(
         InvalidCheckpoint: the run cannot be read, or did not learn from depth, or not of laptops.
         InvalidSource: the sequence cannot be read, or shows too little.
     """
-    prepare()
     path = newest(run)
     point = read_checkpoint(path / LATEST)
     learner = point.learner()
@@ -72,7 +71,8 @@ def watch(
     outcome = measured(posed, shapes)
     numbers = {"images": len(posed), **outcome.numbers}
     make_folder(Path(out))
-    write_atomically(Path(out) / "numbers.json", (json.dumps(numbers, indent=1) + "\n").encode())
+    plain = {k: None if np.isnan(x) else x for k, x in numbers.items()}  # JSON has none
+    write_atomically(Path(out) / "numbers.json", (json.dumps(plain, indent=1) + "\n").encode())
     save(_drawn(posed, shapes, outcome), Path(out) / "figure.png")
     return Watched(numbers, Path(out) / "figure.png")
 

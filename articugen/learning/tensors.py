@@ -75,6 +75,17 @@ def made(seed: int, device: torch.device) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Sums of floats depend on how many threads share them: within it is one."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 class _Unfilled(TorchFunctionMode):
     """Leaves out what fills tensors with random numbers: on `meta` there are none, and torch would
     import its compiler for it, which takes a second. So it would for arithmetic there: what

@@ -57,7 +57,9 @@ class BSPLearner(FieldLearner):
         return terms
 
     def learn(self, batch: Batch, rng: torch.Generator | None, *, iteration: int) -> Terms:
-        if iteration % LOOK_EVERY == 0 and int(self.stuck) >= self.settings.restart_after:
+        stage = self.settings.schedule.stages[self.settings.schedule.index_at(iteration)]
+        looks = stage.loss == "continuous" and iteration % LOOK_EVERY == 0
+        if looks and int(self.stuck) >= self.settings.restart_after:
             self._restart()
         return super().learn(batch, rng, iteration=iteration)
 

@@ -336,7 +336,7 @@ def _read(
         check_shard(shard, spec, every)
         row = {name: shard.read(name) for name in ("state_index", "surface_points")}
         wanted = {
-            "surface_part": spec.parts or spec.motions,
+            "surface_part": (spec.parts or spec.motions) and not spec.partial,
             "surface_normals": spec.normals or spec.sides,
             "uniform_points": spec.uniform_points,
             "uniform_label": spec.uniform_points,
