@@ -1,6 +1,8 @@
 """What is no fault of an object: disks, limits and processes that fail while a data set is made."""
 
 import errno
+import os
+import shutil
 import subprocess
 import sys
 import time
@@ -8,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import test_pipeline
@@ -23,7 +26,8 @@ from articugen.pipeline.folder import is_temporary
 from articugen.pipeline.options import ObjectReport
 from articugen.pipeline.run import started
 from articugen.sources import readers
-from articugen.store.manifest import Manifest
+from articugen.sources.fetch.target import LIST_NAME
+from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.verify.dataset import verify
 
 whole, mine, boxes = test_pipeline.whole, test_pipeline.mine, test_pipeline.boxes
@@ -53,7 +57,13 @@ def test_a_fault_of_ours_ends_no_run_and_is_tried_again(boxes, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    "error", [OSError(errno.EIO, "it is broken"), OSError(errno.EMFILE, "too many"), MemoryError()]
+    "error",
+    [
+        OSError(errno.EIO, "it is broken"),
+        OSError(errno.EMFILE, "too many"),
+        OSError(errno.ENOTCONN, "no mount"),
+        MemoryError(),
+    ],
 )
 def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
     boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
@@ -71,13 +81,57 @@ def test_what_a_reader_says_over_a_fault_of_the_machine_is_no_verdict(
     monkeypatch.setattr(readers, "load", load)
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     if isinstance(error, OSError):
-        with pytest.raises(MachineFault, match=r"^it is broken; the disk|^too many; raise the"):
+        with pytest.raises(
+            MachineFault, match=r"^(it is broken|no mount); the disk|^too many; raise"
+        ):
             made(ours)
         return
     with pytest.raises(ArticugenError, match="box2: its worker ran out of memory"):
         made(ours)
     manifest = Manifest.read(ours.out)
     assert (len(manifest.objects), manifest.rejected, len(manifest.failed)) == (3, (), 1)
+
+
+def test_a_fault_while_a_finished_shard_is_compared_leaves_it(mine, monkeypatch):
+    """Too many files are open for a moment: nobody knows whether it is whole."""
+    shard, opened = mine / "train-00000.h5", os.open
+    with h5py.File(shard, "r+") as file:
+        file.create_group("user")  # so that its digest is another
+    before = shard.read_bytes()
+
+    def full(path, *more, **how):
+        if str(path).endswith(shard.name):
+            raise OSError(errno.EMFILE, "too many", str(path))
+        return opened(path, *more, **how)
+
+    monkeypatch.setattr(os, "open", full)
+    with pytest.raises(MachineFault, match="raise the limit of open files"), started(job(mine)):
+        pass
+    assert shard.read_bytes() == before
+
+
+def test_who_began_before_the_folder_was_there_takes_nothing_of_another_run(whole, tmp_path):
+    ours = job(tmp_path / "out", seed=1)
+    with started(ours) as run:
+        shutil.copytree(whole, tmp_path / "out")
+        with pytest.raises(ArticugenError, match="another run was here meanwhile; run it again"):
+            run.finish(ours.executor.of(ours, ""))
+    assert contents(tmp_path / "out") == contents(whole)
+    assert (tmp_path / "out" / MANIFEST_NAME).is_file()
+
+
+def test_shards_without_a_manifest_are_none_to_write_over(mine, whole):
+    (mine / MANIFEST_NAME).unlink()
+    with pytest.raises(ArticugenError, match="was not made by an earlier run here; move it away"):
+        made(job(mine))
+    assert contents(mine) == contents(whole)
+
+
+def test_models_that_were_fetched_are_no_data_set(tmp_path):
+    (tmp_path / LIST_NAME).write_text("{}")
+    with pytest.raises(ArticugenError, match="models were fetched into it; choose another"):
+        made(job(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == [LIST_NAME]
 
 
 def test_files_that_vanish_meanwhile_are_no_objects_fault(boxes: Path, tmp_path: Path) -> None:

@@ -130,6 +130,8 @@ def test_labels_agree_with_the_exact_solids_and_wrong_ones_do_not(laptops, tmp_p
     wrong = measured(facts([still]).objects, manifest)
     assert wrong.total("surface") < found.total("surface") - 0.1
     assert "shard alone" in measured(facts([path]).objects, None).why_not
+    others = manifest.model_copy(update={"objects": ()})  # of a shard that it does not list
+    assert "is generated otherwise" in measured(facts([path]).objects, others).why_not
 
 
 def test_real_models_have_no_exact_solids(laptops: Path) -> None:

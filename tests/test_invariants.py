@@ -50,6 +50,8 @@ def test_default_recipe_and_an_empty_one_are_sound():
     )  # fmt: skip
     none = Recipe(name="none", sampling=nothing)
     assert list(invariants.faults(hinged_box(STATES, recipe=none), none)) == []
+    inside = Recipe(name="inside", sampling=Sampling(surface_points=0, near_points=0))
+    assert list(invariants.faults(hinged_box(STATES, recipe=inside), inside)) == []
 
 
 @settings(max_examples=25, deadline=None)

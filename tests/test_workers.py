@@ -159,6 +159,15 @@ def test_a_task_over_its_time_is_stopped_and_the_others_go_on(workers: int) -> N
     assert time.monotonic() - started < 30
 
 
+def test_a_task_that_ended_in_time_is_done_however_slow_we_are() -> None:
+    """What we do with one outcome is no part of the other's time."""
+    found = []
+    for outcome in each(do, [("sleep", 0.1), ("sleep", 0.6)], workers=2, limit=Limit(seconds=1.5)):
+        found.append(outcome)
+        time.sleep(3.0)
+    assert [outcome.over for outcome in found] == [None, None]
+
+
 def test_a_task_over_its_memory_is_stopped_and_the_others_go_on() -> None:
     found = ended([("swell", 400), ("say", 1)], limit=Limit(megabytes=200))
     assert found == {0: Ended(0, over="megabytes"), 1: Ended(1, value=1)}

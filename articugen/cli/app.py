@@ -11,7 +11,7 @@ import sys
 from contextlib import suppress
 from functools import partial
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 
@@ -32,6 +32,8 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line and exit."""
+    for stream in (sys.stdout, sys.stderr):
+        cast("Any", stream).reconfigure(errors="replace")
     stopped: list[int] = []
     for number in STOPPED:
         signal.signal(number, partial(_stop_once, stopped))

@@ -54,17 +54,10 @@ def export(
         _list_formats(data, to, out)
     with counting_bar() as count_item:
         done = run(
-            data,
-            to,
-            out,
-            split=split,
-            resolution=resolution,
-            from_grids=from_grids or None,
-            collision=collision or None,
-            occupancy=occupancy,
-            jobs=jobs,
+            data, to, out, split=split, resolution=resolution, from_grids=from_grids or None,
+            collision=collision or None, occupancy=occupancy, jobs=jobs,
             on_item=lambda count, items, item: count_item(count, items, item.key),
-        )
+        )  # fmt: skip
     for sentence in done.left_out:
         say(("left out", "yellow"), f" {sentence}")
     say(f"{done.folder}: {done.files:,} files, {size(done.bytes)}")

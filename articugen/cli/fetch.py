@@ -70,16 +70,9 @@ def fetch(
     say(f"{terms.origin}\n", ("terms:", "bold"), f" {terms.licence}")
     with counting_bar() as count_file:
         done = bring(
-            source,
-            out,
-            category=category,
-            ids=ids,
-            token=token,
-            via=via,
-            archives=archives,
-            on_progress=count_file,
-            on_notice=lambda text: say(printable(text), to=stderr),
-        )
+            source, out, category=category, ids=ids, token=token, via=via, archives=archives,
+            on_progress=count_file, on_notice=lambda text: say(printable(text), to=stderr),
+        )  # fmt: skip
     _print(done)
     return REJECTED if done.refused or done.failed else 0
 

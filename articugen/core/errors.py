@@ -114,7 +114,7 @@ _MACHINE = {
     errno.EAGAIN: "end other programs, or use fewer --jobs",
     errno.ESTALE: "the network's disk has lost it; see to it",
     errno.ETIMEDOUT: "the network's disk does not answer; see to it",
-    errno.ENODEV: "the disk is gone; see to it",
+    **dict.fromkeys((errno.ENODEV, errno.ENOTCONN, errno.EHOSTDOWN), "the disk is gone; see to it"),
 }
 """Errors of the system that are no file's fault, and the cure."""
 

@@ -373,7 +373,8 @@ class Crew(AbstractContextManager["Crew[T, R]"], Generic[T, R]):
 
     def _over_limit(self) -> list[tuple[_Worker, str]]:
         now, most = self._clock(), 1e6 * self.limit.megabytes
-        at_work = [(w, w.since) for w in self._at_work if w.since is not None]
+        waited = [w for w in self._at_work if not w.pipe.poll()]  # the others have ended in time
+        at_work = [(w, w.since) for w in waited if w.since is not None]
         clocks = [w for w, since in at_work if now - since > self.limit.seconds]
         others = [w for w, _ in at_work if w not in clocks]
         resident = resident_bytes([w.pid for w in others]) if math.isfinite(most) else {}

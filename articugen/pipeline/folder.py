@@ -4,7 +4,7 @@ import os
 import re
 from pathlib import Path
 
-from articugen.core.errors import ArticugenError, CorruptShard, MachineFault
+from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, machine_fault
 from articugen.core.files import is_plain_file, whole_name
 from articugen.core.ledger import LEDGER
 from articugen.core.recipe import Recipe
@@ -59,7 +59,9 @@ def is_whole(folder: Path, outcome: Outcome, *, sizes_only: bool) -> bool:
         with open_shard(path) as shard:
             content = [row for row in shard.content() if row[0] == outcome.key.object_id]
             return shard.extended and content_sha256(content) == outcome.made.content_sha256
-    except (OSError, CorruptShard):
+    except (OSError, CorruptShard) as error:
+        if fault := machine_fault(error):
+            raise fault from error
         return False
 
 
@@ -73,9 +75,10 @@ def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
 
 
 def check_is_not_of_before(folder: Path) -> None:
-    """Raise ArticugenError where a run of the version before was cut short."""
-    names = list(filter(_EARLIER.fullmatch, listed(folder)))
-    if names:
+    """Raise ArticugenError where a run of the version before was cut short, or `fetch` was here."""
+    if "fetched.json" in listed(folder):
+        raise ArticugenError(f"{folder}: models were fetched into it; choose another output folder")
+    if names := list(filter(_EARLIER.fullmatch, listed(folder))):
         raise ArticugenError(
             f"{folder}: a run of an earlier version of articugen was cut short here; finish it "
             f"with that version, or delete {names[0]} and the shards beside it to start again"

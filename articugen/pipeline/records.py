@@ -213,6 +213,8 @@ class Records(AbstractContextManager["Records"]):
         names = sorted(set(names))
         if self._lock is None:
             self._take_lock()
+            if self._folder and not self.is_shared and listed(self._folder):
+                raise ArticugenError(f"{self.place}: another run was here meanwhile; run it again")
         for name in self._foreign(names):
             raise ArticugenError(
                 f"{self.place}/{name}: exists and was not made by an earlier run here; "
@@ -236,7 +238,8 @@ class Records(AbstractContextManager["Records"]):
         """Yield the names where something is that no run of ours has put there. Where a shard
         counts, a damaged one, or a link, is itself replaced."""
         trusted = {o.shard.name for o in self.outcomes.values() if o.shard}
-        about, folder = self.agreed or self._about, self._folder
+        folder = self._folder
+        about = self.agreed or (self._about if folder and self.ledger.files() else None)
         for name in names if folder else ():
             assert folder
             path = folder / name

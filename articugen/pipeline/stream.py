@@ -199,7 +199,7 @@ class Stream(Iterator[Row]):
         return {"position": self.position, "of": str(self)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue where such a stream was; InvalidArgument where that makes something else."""
+        """Continue where such a stream was; InvalidArgument where that makes others, by name."""
         here = self.state_dict()["of"]
         if state.get("of") != here:
             raise InvalidArgument(f"the state is of {state.get('of')}, not of {here}; open that")

@@ -78,7 +78,7 @@ def _grids_agree(samples: Samples, _: Recipe) -> Iterator[Share]:
     """
     points, label = (_some(some, 8000) for some in samples.queries)
     away = np.zeros(len(points), np.bool_)
-    for resolution, grid in sorted(samples.row.occupancy.items()):
+    for resolution, grid in sorted(samples.row.occupancy.items()) if len(samples.surface) else ():
         reach = math.hypot(0.5 * math.sqrt(3.0) / resolution, _spacing(len(samples.surface)))
         close = np.flatnonzero(~away)  # what was away by a wider reach still is
         away[close] = ~any_within(samples.near_surface, points[close], reach)

@@ -210,7 +210,7 @@ def _of_points(instance: Instance) -> list[Floats]:
     """Return depth maps (DEPTH, DEPTH) of the first partial clouds, each point two pixels wide."""
     maps = []
     for points, T, (fx, fy, cx, cy) in zip(
-        dequantize(instance.partial_points[:VIEWS]),
+        dequantize(instance.partial_points[: VIEWS * bool(instance.partial_points.size)]),
         instance.partial_T_camera_world,
         instance.partial_intrinsics,
         strict=False,

@@ -91,7 +91,7 @@ def measured(objects: Sequence[ObjectFacts], manifest: Manifest | None) -> Measu
         for about in evenly(objects, OBJECTS):
             ref = source.find(manifest.category, about.object_id)
             obj = resolved(ref, recipe)
-            if obj.sha256 != entries[about.split, about.object_id]:
+            if obj.sha256 != entries.get((about.split, about.object_id)):
                 return Measured(
                     (), f"{about.object_id} is generated otherwise by this version of articugen."
                 )

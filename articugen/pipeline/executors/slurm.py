@@ -73,7 +73,7 @@ class Array:
         slurm://partition?tasks=100&cpus=4&time=60."""
         parts = urlsplit(address if "://" in address else f"{address}://")
         try:
-            values = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True))
+            values = dict(parse_qsl(parts.query, True, bool(parts.query)))  # 3.10 refuses none
             numbers = {n: int(values.pop(n)) for n in ("tasks", "cpus", "time") if n in values}
         except ValueError:
             numbers, values = {"tasks": 0}, {}
