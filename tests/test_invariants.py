@@ -1,6 +1,7 @@
 """Every check of an instance or object passes on sound data and is tripped by its one fault."""
 
 import math
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -15,6 +16,8 @@ from articugen.core.near import any_within, by_cell, nearest_within
 from articugen.core.recipe import Recipe, Sampling
 from articugen.core.records import dequantize, quantize
 from articugen.core.schema import Instance
+from articugen.store.manifest import Manifest
+from articugen.store.shards import open_shard
 from articugen.verify import bounds, exact, invariants, sampled
 from tests.benchmarks.soundness import made_sets
 
@@ -50,8 +53,17 @@ def test_default_recipe_and_an_empty_one_are_sound():
     )  # fmt: skip
     none = Recipe(name="none", sampling=nothing)
     assert list(invariants.faults(hinged_box(STATES, recipe=none), none)) == []
-    inside = Recipe(name="inside", sampling=Sampling(surface_points=0, near_points=0))
-    assert list(invariants.faults(hinged_box(STATES, recipe=inside), inside)) == []
+
+
+def test_without_surface_points_nothing_is_known_to_be_far_from_the_surface(laptops):
+    recipe = Recipe.model_validate_json(Manifest.read(laptops).recipe)
+    sampling = recipe.sampling.model_copy(update={"surface_points": 0})
+    recipe = recipe.model_copy(update={"sampling": sampling})
+    with open_shard(next(laptops.glob("train*.h5"))) as shard:
+        rows = [shard.instance(i) for i in range(len(shard))]
+    names = ("surface_points", "surface_normals", "surface_part")
+    bare = [replace(r, **{n: getattr(r, n)[:0] for n in names}) for r in rows]
+    assert list(invariants.faults(bare, recipe)) == []
 
 
 @settings(max_examples=25, deadline=None)

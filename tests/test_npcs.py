@@ -263,6 +263,9 @@ def test_joints_are_read_off_motions_relative_to_the_base():
     motion = first.motion_to(posed)
     assert motion is not None
     np.testing.assert_array_equal(motion[3], np.eye(4))  # it is taken not to move
+    motion = posed.motion_to(first)
+    assert motion is not None
+    np.testing.assert_array_equal(motion[3], np.eye(4))
     assert joints_of(first, labelled_points(points, part, 4), kind) is None
     for angle in (0.0, 1e-4, np.pi):
         assert turn_of(rotation_about(axis, angle))[0] == pytest.approx(angle, abs=1e-9)
