@@ -32,8 +32,9 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line and exit."""
-    for stream in (sys.stdout, sys.stderr):
-        cast("Any", stream).reconfigure(errors="replace")
+    with suppress(OSError):  # of letters that a terminal lacks
+        for stream in (sys.stdout, sys.stderr):
+            cast("Any", stream).reconfigure(errors="replace")
     stopped: list[int] = []
     for number in STOPPED:
         signal.signal(number, partial(_stop_once, stopped))

@@ -136,8 +136,7 @@ class TrainRecipe(Section):
     COUNTED: ClassVar[tuple[str, ...]] = ()
     """Keys of a method's own that are numbers of iterations."""
 
-    MEASURED: ClassVar[tuple[str, ...]] = ()
-    """What `seeds.chosen_by` may be."""
+    MEASURED: ClassVar[tuple[str, ...]] = ()  # what `seeds.chosen_by` may be
 
     name: str
     method: str
