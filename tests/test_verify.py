@@ -18,6 +18,7 @@ import pytest
 import test_manifest
 from instances import SMALL, changed, edited, hinged_box
 from PIL import Image
+from python_process import ended
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
@@ -64,6 +65,12 @@ def test_sound_data_set(complete, jobs):
     report = verify(complete, jobs=jobs, on_shard=told.append)
     assert report == Report((), 3, 6)
     assert told == ["test-00000.h5", "train-00000.h5", "train-00001.h5"]
+
+
+def test_a_terminal_of_few_letters_is_told_as_well(complete):
+    done = ended("-m", "articugen", "verify", complete, PYTHONIOENCODING="latin-1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("? ")
 
 
 def test_nothing_is_changed(complete):
