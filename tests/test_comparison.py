@@ -132,11 +132,12 @@ def test_of_a_worker_that_is_killed_one_reads_at_once(tmp_path, monkeypatch):
         assert read_evaluation(run).run.states == states
 
 
-def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):
+def test_iterations_fill_what_start_and_checks_leave_of_the_budget(tmp_path, monkeypatch):
     """A start of 5 s, stages of 0.1 and 0.3 s an iteration, 1 s each time it is validated."""
     now, recipe = [0.0], load_recipe("ppd_paper")
 
     def train(what, on_progress):
+        (what.runs / what.name).mkdir(parents=True)
         counts = [stage.iterations for stage in what.recipe.schedule.stages]
         now[0] += 5.0
         for i in range(sum(counts)):
@@ -146,8 +147,7 @@ def test_iterations_fill_what_start_and_checks_leave_of_the_budget(monkeypatch):
 
     monkeypatch.setattr(budget.loop, "train", train)
     monkeypatch.setattr(budget.loop, "clock_of", lambda _: lambda: now[0])
-    monkeypatch.setattr(budget.shutil, "rmtree", lambda *_, **__: None)
-    what = budget.Training(recipe, "laptop", Path(), Path("none"))
+    what = budget.Training(recipe, "laptop", Path(), tmp_path)
     scaled = budget.scaled_to(100.0, what)
     first, second = (stage.iterations for stage in scaled.schedule.stages)
     assert 5.0 + 0.1 * first + 0.3 * second + 5 * 1.0 == pytest.approx(100.0, abs=0.5)
@@ -173,10 +173,10 @@ def test_joints_that_the_pace_has_found_are_not_looked_for_again(tmp_path):
     recipe = tiny({"surface_points": 200, "grid_points": 50}, (8, 4000), batch=2).model_copy(
         update=warm
     )
-    what, notes = Training(recipe, "box", data, tmp_path / "runs"), []
-    scaled = budget.scaled_to(30.0, what, lambda now: notes.append(now.who))
-    assert scaled.budget.start > 0.0
-    assert [p.name for p in (tmp_path / "runs").iterdir()] == ["joints"]
+    what = Training(recipe, "box", data, tmp_path / "runs")
+    scaled = budget.scaled_to(30.0, what)
+    assert [p.name for p in what.runs.iterdir()] == ["joints"]
+    assert list((what.runs / "joints").iterdir())
     said = []
     learner = find_method("ppd").start(scaled, seed=0, device=torch.device("cpu"))
     learner.begin(next(what.instances(learner, 0, said.append)[0]), what.beside, said.append)

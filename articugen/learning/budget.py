@@ -82,8 +82,7 @@ def _pace(what: Training, notify: Notify) -> tuple[float, list[float], float]:
         float(np.mean(took[end - count + SKIPPED : end - (end == last[-1])])) if count else 0.0
         for end, count in zip(last, counts, strict=True)
     ]
-    for shared in {*folder.glob("*")} - {folder / "0"}:  # what the method found in the data
-        shutil.copytree(shared, what.runs / shared.name, dirs_exist_ok=True)
+    shutil.rmtree(folder / "0")
+    shutil.copytree(folder, what.runs, dirs_exist_ok=True)  # what the method found in the data
     shutil.rmtree(folder)
-    first, check = float(took[0] - pace[0]), float(took[-1] - pace[-1])
-    return max(first, 0.0), pace, max(check, 0.0)
+    return max(float(took[0] - pace[0]), 0.0), pace, max(float(took[-1] - pace[-1]), 0.0)
