@@ -28,13 +28,13 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def linear(colour: str) -> Floats:
-    """Return an #rrggbb colour as linear light, (3,) in [0, 1], by the power that pictures take."""
-    return (np.array(rgb(colour)) / 255.0) ** 2.2
+    """Return an #rrggbb colour as linear light, (3,) in [0, 1], by the power that pictures take; to
+    9 digits, which are the same on all machines."""
+    return ((np.array(rgb(colour)) / 255.0) ** 2.2).round(9)
 
 
 def srgb_linear(colour: str) -> Floats:
-    """Return the same by sRGB's own curve (IEC 61966-2-1), as files of others have it; to 9 digits,
-    which are the same on all machines."""
+    """Return the same by sRGB's own curve (IEC 61966-2-1), as files of others have it."""
     share = np.array(rgb(colour)) / 255.0
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).round(9)
 
