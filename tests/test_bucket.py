@@ -259,6 +259,9 @@ def test_http_is_spoken_only_where_somebody_asked_for_it(monkeypatch, url, name,
 
 
 def test_a_store_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AZURE_STORAGE_ACCOUNT_NAME", raising=False)
+    with pytest.raises(InvalidArgument, match="^az://box/x: .*Account must be specified$"):
+        Bucket("az://box/x")
     with pytest.raises(InvalidArgument, match="no object store is called so; give s3://"):
         ag.open("s4://nowhere/at/all")
     monkeypatch.setitem(sys.modules, "obstore", None)

@@ -325,6 +325,12 @@ def test_inspect_prints_the_schema_and_draws(made: Path, tmp_path: Path) -> None
     for word in ("surface_points", "revolute", "occupancy_16", "2 objects (1 train, 1 test)"):
         assert word in done.stdout
     assert image.read_bytes()[:4] == b"\x89PNG"
+    refused = run("inspect", made, "--states", 1)
+    assert (refused.exit_code, "are of a picture" in refused.stderr) == (2, True)
+
+
+def test_no_more_instances_come_out_the_same_than_there_are(made: Path) -> None:
+    assert "; 6 came out the same, made again" in run("verify", made, "--replay", 99).stdout
 
 
 INTERRUPTED = """

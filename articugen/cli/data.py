@@ -54,20 +54,21 @@ def inspect(
 
     if beside and not html:
         raise typer.BadParameter("--beside is a section of the report; name that with --html")
+    chosen = {n: count for n, count in (("objects", objects), ("states", states)) if count}
+    if chosen and not (image or html):
+        raise typer.BadParameter("--objects and --states are of a picture; name --image or --html")
     shards = shards_of(path)
     stdout.print(summary(shards))
     stdout.print(left_out(path))
-    if image is None and html is None:
-        return
-    compile_for("inspect")
-    chosen = {n: count for n, count in (("objects", objects), ("states", states)) if count}
-    if image is not None:
+    if image or html:
+        compile_for("inspect")
+    if image:
         from articugen.pictures.contact_sheet import contact_sheet
 
         with stderr.status("drawing ..."):
             contact_sheet(shards, image, **chosen)
         say(f"drawn: {image}")
-    if html is not None:
+    if html:
         from articugen.inspection.report.page import write_report
 
         with stderr.status("reading all of it ..."):
@@ -216,8 +217,8 @@ def verify(
         for finding in report.findings:
             say(("✗", "red"), f" {folder}: {finding}")
         if report.ok:
-            replayed = f"; {replay} came out the same, made again" if replay else ""
-            more = len(report.extended)
+            again, more = min(replay, report.instances), len(report.extended)
+            replayed = f"; {again} came out the same, made again" if replay else ""
             theirs = f"; {more} with a group 'user', which was not checked" if more else ""
             say(
                 ("✓", "green"),

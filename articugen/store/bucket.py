@@ -188,7 +188,7 @@ class Bucket(Files):
                 retry_config={"max_retries": RETRIES},
             )
         except (obstore.exceptions.BaseError, ValueError) as error:
-            raise InvalidArgument(f"{url}: {error}") from None
+            raise InvalidArgument(f"{url}: {str(error).splitlines()[0]}") from None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Bucket, (self.url,)
@@ -240,7 +240,10 @@ class Bucket(Files):
 
     def _ranges(self, name: str, spans: Sequence[tuple[int, int]]) -> Sequence[bytes]:
         starts, lengths = [at for at, _ in spans], [size for _, size in spans]
-        parts = self._obstore.get_ranges(self._store, name, starts=starts, lengths=lengths)
+        try:
+            parts = self._obstore.get_ranges(self._store, name, starts=starts, lengths=lengths)
+        except self._obstore.exceptions.NotSupportedError:
+            return ()  # of a web server that gives no parts; `RangeFile` tells what to do
         return list(map(bytes, parts))
 
     def _answer(self, error: Exception) -> Answer:
@@ -249,5 +252,4 @@ class Bucket(Files):
             return Answer.ABSENT
         if isinstance(error, kinds.PermissionDeniedError | kinds.UnauthenticatedError):
             return Answer.REFUSED
-        is_theirs = isinstance(error, kinds.BaseError | OSError)
-        return Answer.SILENCE if is_theirs else Answer.NONSENSE
+        return Answer.SILENCE if isinstance(error, kinds.BaseError | OSError) else Answer.NONSENSE
