@@ -1,5 +1,6 @@
 """Every depth backend against closed forms, a naive ray caster, and the others."""
 
+import errno
 import sys
 from functools import cache
 
@@ -9,7 +10,7 @@ import trimesh
 from real_models import REAL_MODELS, needs_real_models
 
 from articugen.core.backends import BACKENDS
-from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.errors import MachineFault, MissingDriver, MissingExtra
 from articugen.core.geometry import (
     apply,
     fibonacci_sphere,
@@ -19,7 +20,7 @@ from articugen.core.geometry import (
 )
 from articugen.core.records import LabelledMesh, Views
 from articugen.rendering import render
-from articugen.rendering.foreign import import_library
+from articugen.rendering.foreign import import_library, missing_driver
 
 TOLERANCE = {"rasterizer": 5e-7, "embree": 2e-6, "opengl": 1e-5, "sapien": 1e-5}
 """Of depth in the unit frame: the last three compute in float32."""
@@ -317,3 +318,10 @@ def test_a_library_that_cannot_be_loaded_names_the_system_packages(monkeypatch, 
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(MissingDriver, match=r"libfoo\.so\.1.*apt-get install libfoo1"):
         import_library("unloadable", "none", "libfoo1")
+
+
+def test_a_fault_of_the_machine_is_no_missing_package():
+    fault = missing_driver("open3d", "libgl1", OSError(errno.EMFILE, "Too many open files"))
+    assert isinstance(fault, MachineFault)
+    absent = missing_driver("open3d", "libgl1", OSError("libGL.so.1: cannot open"))
+    assert "open3d cannot run on this machine (libGL.so.1: cannot open)" in str(absent)

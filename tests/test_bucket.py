@@ -260,13 +260,29 @@ def test_http_is_spoken_only_where_somebody_asked_for_it(monkeypatch, url, name,
 
 def test_a_store_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("AZURE_STORAGE_ACCOUNT_NAME", raising=False)
-    with pytest.raises(InvalidArgument, match="^az://box/x: .*Account must be specified$"):
+    with pytest.raises(InvalidArgument, match=r"^az://box/x: .*Account must be specified$"):
         Bucket("az://box/x")
     with pytest.raises(InvalidArgument, match="no object store is called so; give s3://"):
         ag.open("s4://nowhere/at/all")
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(MissingExtra, match=r"pip install 'articugen\[s3\]'"):
         ag.open("s3://nowhere/at/all")
+
+
+@pytest.mark.parametrize("ending", ["#2", "?v=2", "/../up", "/./x"])
+def test_an_address_that_would_be_another_folder_is_refused(ending: str) -> None:
+    with pytest.raises(InvalidArgument, match=r"holds no \?, # or folder \. or \.\."):
+        Bucket(f"s3://{BUCKET}/runs{ending}")
+
+
+def test_a_scheme_may_be_in_capitals() -> None:
+    assert bucket_module.is_url("S3://shelf/x")
+    assert bucket_module.scheme_of("S3://shelf/x") == "s3"
+
+
+def test_what_was_not_written_is_no_success(server: Trouble, tmp_path: Path) -> None:
+    with pytest.raises(ArticugenError, match="there is no such bucket, or no file to send"):
+        Bucket(f"s3://{BUCKET}/x").write("s.h5", tmp_path / "vanished")
 
 
 def test_a_store_that_goes_away_is_no_damage(server, stored, monkeypatch):

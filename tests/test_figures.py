@@ -80,6 +80,19 @@ def test_the_truth_as_a_prediction_looks_like_the_truth():
     assert (off[axes] > 40).mean() < 0.1  # the true ones are there as well
 
 
+def test_a_predicted_axis_far_outside_is_not_drawn():
+    instances = by_opening(hinged_box())
+
+    def far(instance, away=6.0):
+        found = solid_truth(instance)
+        joints = dataclasses.replace(found.joints, pivot=found.joints.pivot + away)
+        return dataclasses.replace(found, joints=joints)
+
+    _, there = tiles(drawn(instances, far, NAMES, states=2))
+    _, none = tiles(drawn(instances, lambda i: far(i, 5000.0), NAMES, states=2))
+    np.testing.assert_array_equal(there, none)
+
+
 def test_sheets_stand_in_rows_of_so_many():
     one, two, three = (
         Image.new("RGB", size, colour)

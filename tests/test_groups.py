@@ -126,6 +126,8 @@ def test_a_data_set_is_grouped_and_compared_with_its_objects(laptops):
 
 
 def test_the_command_prints_and_writes_groups(laptops, tmp_path):
+    refused = run("discover", laptops, "--groups", "--joints", "revolute")
+    assert (refused.exit_code, "takes no --joints" in refused.stderr) == (1, True)
     done = run("discover", laptops, "--groups", "--json", tmp_path / "groups.json")
     assert done.exit_code == 0
     assert "16 instances in 4 groups; the data set names 4 objects" in done.output

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instances import SMALL, hinged_box
+from instances import SMALL, changed, hinged_box
 from numba import njit
 from PIL import Image
 from rich.console import Console
@@ -18,7 +18,7 @@ from test_html_report import shard as write
 
 from articugen.core.colours import COLOURS, colour_of
 from articugen.core.errors import ArticugenError, InvalidArgument
-from articugen.core.geometry import fibonacci_sphere, invert_rigid, rotation_about, transform
+from articugen.core.geometry import apply, fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.core.near import cells_of, near
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
@@ -28,6 +28,7 @@ from articugen.pictures.camera import framed
 from articugen.pictures.contact_sheet import contact_sheet
 from articugen.pictures.layout import CAPTION, MARGIN, TILE, Row, sheet
 from articugen.pictures.light import SurfaceCloud, occlusion, occlusion_in_detail
+from articugen.pictures.portrait import opened
 from articugen.pictures.shading import PAPER
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, surfels
@@ -99,6 +100,26 @@ def test_discs_end_at_the_edges_of_a_cube() -> None:
         assert abs(seen.min() - 0.1 * 128) <= 1.5
         assert abs(seen.max() + 1 - 0.9 * 128) <= 1.5
     assert np.isfinite(depth[14:114, 14:114]).all()
+
+
+@pytest.mark.parametrize("reach", [3.0, 8.0, 300.0])
+def test_the_camera_stands_back_from_what_reaches_far(reach: float) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [reach, 0.0, 0.1], [0.2, -reach, 0.0], [0.1, 0.0, reach]])
+    for azimuth in np.linspace(0.0, 6.0, 7):
+        camera = framed(points, azimuth, 0.4, 100, fill=0.9)
+        assert apply(camera.T_camera_world, points)[:, 2].min() > 0.5
+
+
+def test_a_part_opens_with_the_one_that_it_hangs_on_in_any_order() -> None:
+    """A knob slides on a lid that turns; joints that turn come first, but a file may differ."""
+    box, back = hinged_box()[1], [1, 0]
+    names = ("kind", "state", "lower", "upper", "axis", "pivot")
+    fields = {f"joint_{name}": getattr(box, f"joint_{name}")[back] for name in names}
+    other = changed(box, joint_parent=np.array([2, 0], np.uint8), **fields)
+    assert box.joint_parent.tolist() == [0, 1]
+    for share in (0.0, 0.5, 1.0):
+        np.testing.assert_allclose(opened(other, share)[[0, 2, 1]], opened(box, share))
+    assert np.abs(opened(box, 1.0)[2] - opened(box, 0.0)[2]).max() > 0.3
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-1.2, 1.2), st.floats(0.3, 1.0))

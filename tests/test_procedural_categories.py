@@ -58,6 +58,15 @@ def test_no_part_lies_in_another(category: str, name: str, tmp_path: Path) -> No
         assert np.degrees(obj.moving_joints[0].upper) == pytest.approx(135.0)
 
 
+@pytest.mark.parametrize("index", [9, 19, 25])
+def test_flaps_keep_clear_at_the_ends_of_their_own_range(index: int, tmp_path: Path) -> None:
+    """Beyond what the recipe takes, as who uses the URDF may have them."""
+    obj, truth = written("box", object_id("box", index), tmp_path)
+    upper = np.array([joint.upper for joint in obj.moving_joints])
+    assert not crossings(obj, truth, upper)
+    assert index == 9 or crossings(obj, truth, upper + np.radians(15.0))
+
+
 def assert_parts_keep_clear(category: str, name: str, folder: Path) -> ArticulatedObject:
     """That no link of an object is in another in any state; the object, as its recipe has it."""
     assert_sound(model_of(category, name, varied=False))

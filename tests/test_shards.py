@@ -27,6 +27,7 @@ from articugen.core import schema
 from articugen.core.errors import ArticugenError, MachineFault, RejectedInstance
 from articugen.core.files import whole_name
 from articugen.core.schema import Instance, stored_name
+from articugen.store import columns
 from articugen.store.shards import content_sha256, instance_sha256, open_shard
 from articugen.store.writer import write_shard
 from tests.format_tables import markdown
@@ -341,6 +342,26 @@ def _kept(row: Instance) -> dict:
 
 def _leftovers(folder):
     return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.mark.parametrize("code", [errno.EMFILE, errno.EIO])
+def test_a_fault_of_the_machine_is_no_damage(tmp_path, monkeypatch, code):
+    path = tmp_path / "train-00000.h5"
+    write_shard(path, ROWS, ABOUT)
+
+    def fails(*_, **__):
+        raise OSError(code, os.strerror(code))
+
+    shard = open_shard(path)
+    for where, name, read in (
+        (os, "pread", lambda: shard.instance(0)),
+        (columns, "open_regular", lambda: open_shard(path)),
+    ):  # fmt: skip
+        with monkeypatch.context() as patch:
+            patch.setattr(where, name, fails)
+            with pytest.raises(MachineFault, match=os.strerror(code)):
+                read()
+    assert shard.instance(0).scale == ROWS[0].scale
 
 
 @pytest.mark.parametrize("written_before", [0, 1, 40])

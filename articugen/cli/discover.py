@@ -67,6 +67,8 @@ def discover(
         raise InvalidArgument("--groups and --shared are two questions; ask one at a time")
     if (view, poses) != (None, None) and (groups or shared):
         raise InvalidArgument("--groups and --shared take neither --view nor --poses")
+    if groups and joints:
+        raise InvalidArgument("--groups takes no --joints: it looks for none")
     options = {"--groups": groups, "--shared": shared, "--view": view, "--poses": poses}
     needs = [name for name, value in options.items() if value not in (None, False)]
     found_joints.check_poses(paths, option=" ".join(needs))

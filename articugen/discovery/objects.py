@@ -132,8 +132,8 @@ def discover_all(
     _kinds(joints)
     data = data if isinstance(data, DataSet) else open_data_set(Path(data))
     all_found = []
-    for object_id in data.objects:
-        rows = list(data.of(object_id)[:poses])
+    for object_id, its in data.by_object():
+        rows = list(its[:poses])
         clouds = _whole(rows) if view is None else _seen(rows, view)
         began, why, outcome = time.process_time(), "", None
         try:
@@ -217,7 +217,7 @@ def discover_category(
     """
     kinds = _kinds(joints)
     data = data if isinstance(data, DataSet) else open_data_set(Path(data))
-    rows = [list(data.of(object_id))[-1] for object_id in data.objects]
+    rows = [its[-1] for _, its in data.by_object()]
     began = time.process_time()
     category = discover_shared(
         [row.surface.points for row in rows], [row.surface.normals for row in rows], kinds=kinds

@@ -254,6 +254,8 @@ def _axes(instance: Instance, shape: Reconstruction, names: Names) -> ColouredMe
         turns, axis = joints.kind[i] == JointKind.REVOLUTE, joints.direction[i]
         near = points[part == j + 1] if (part == j + 1).any() else points
         through = joints.pivot[i] if turns else near.mean(0)
+        if np.abs(near.mean(0) - through).max() > 2.0:  # far outside the picture
+            continue
         along = (near - through) @ axis
         low, high = along.min() - 0.1 if turns else 0.0, along.max() + 0.14
         colour = shaded(colour_of(j + 1), -0.4)

@@ -10,7 +10,6 @@ from articugen.fusion.distance import distances
 from articugen.fusion.ends import own_ends, posed_ends
 from articugen.fusion.field import (
     SOLIDS,
-    FusedField,
     OwnSolid,
     PosedFields,
     PosedSolids,
@@ -29,7 +28,6 @@ __all__ = [
     "SOLIDS",
     "Bvh",
     "Colliding",
-    "FusedField",
     "OwnSolid",
     "PosedFields",
     "PosedSolids",

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from articugen.core.arrays import Bools, Bytes, Floats, Indices
 from articugen.core.geometry import apply, bounds, box_corners, invert_rigid
+from articugen.core.portable import turned
 from articugen.core.recipe import Fusion
 from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
 from articugen.fusion import kernels
@@ -120,7 +121,7 @@ class FusedField:
     def _scene(self) -> kernels.Scene:
         views = self.maps.views
         T, pinhole = views.T_camera_world, views.projection == "pinhole"
-        eyes = -np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]) if pinhole else -T[:, 2, :3]
+        eyes = -turned(np.swapaxes(T[:, :3, :3], 1, 2), T[:, :3, 3]) if pinhole else -T[:, 2, :3]
         return kernels.Scene(
             depth=_NO_DEPTH if self.maps.depth is None else self.maps.depth,
             face=_NO_FACES if self.maps.face is None else self.maps.face,

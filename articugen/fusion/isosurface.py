@@ -41,7 +41,7 @@ def extract_mesh(field: FusedField | PosedSolids, resolution: int) -> Mesh:
         # the sign decides what is connected; a value of exactly zero would belong to neither side
         size[beside] = np.maximum(np.abs(field.value(points)) / field.settings.truncation, 1e-3)
         return zero_level(np.where(inside, size, -size))
-    mesh = zero_level(np.where(inside, 1.0, -1.0))
+    mesh = zero_level(np.where(inside, np.float32(1.0), np.float32(-1.0)))
     at = _bisected(
         (mesh.vertices + 0.5) * count - 0.5,
         lambda place: field.is_free((place + first + 0.5) / resolution - 0.5),
@@ -68,10 +68,9 @@ def _bisected(vertices: Floats, is_free: Callable[[Floats], Bools], steps: int =
 def _free(field: FusedField | PosedSolids, resolution: int, first: Ints | int, count: int) -> Bools:
     """Return (n, n, n) of the centres of `count` = n voxels along each edge, from voxel `first`
     on."""
-    voxels = np.arange(count**3)
     free = []
-    for start in range(0, len(voxels), _AT_A_TIME):
-        which = voxels[start : start + _AT_A_TIME]
+    for start in range(0, count**3, _AT_A_TIME):
+        which = np.arange(start, min(start + _AT_A_TIME, count**3))
         place = np.stack(np.unravel_index(which, (count,) * 3), axis=1) + first
         free.append(field.is_free((place + 0.5) / resolution - 0.5))
     return np.concatenate(free).reshape((count,) * 3)

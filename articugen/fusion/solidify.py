@@ -341,7 +341,7 @@ def closed_piece(mesh: LabelledMesh) -> Ints:
     paired = np.bincount(which, weights=way)[which] == 0.0
     piece = _pieces(faces.astype(np.int64), count)
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    volume = np.bincount(piece, weights=np.einsum("fi,fi->f", a, cross(b, c)), minlength=count)
+    volume = np.bincount(piece, weights=dot(a, cross(b, c)), minlength=count)
     open_edges = np.bincount(np.repeat(piece, 3), weights=~paired, minlength=count)
     return np.where((open_edges[piece] == 0) & (volume[piece] > 0.0), piece, -1)
 

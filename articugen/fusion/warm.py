@@ -5,7 +5,8 @@ import numpy as np
 from articugen.core.compiling import tetrahedron, two_views
 from articugen.core.recipe import Fusion
 from articugen.core.records import DepthMaps
-from articugen.fusion import FusedField, kernels, solidify
+from articugen.fusion import kernels, solidify
+from articugen.fusion.field import FusedField
 from articugen.fusion.reachable import Flood, flood, touched
 from articugen.fusion.thin import NOTHING, way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside

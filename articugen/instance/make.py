@@ -39,16 +39,10 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
     joint_name, part_name, part_semantic = names_of(p.obj)
     occupancy = {r: _labelled_grid(grid, fields, r) for r, grid in p.grids.items()}
     return Instance(
-        object_id=p.obj.object_id,
-        state_index=state_index,
-        center=p.unit.center,
-        scale=p.unit.scale,
-        **_joint_fields(p, state_index),
-        joint_name=joint_name,
-        part_name=part_name,
-        part_semantic=part_semantic,
-        part_motion=fields.part_motion,
-        occupancy=occupancy,
+        object_id=p.obj.object_id, state_index=state_index,
+        center=p.unit.center, scale=p.unit.scale, **_joint_fields(p, state_index),
+        joint_name=joint_name, part_name=part_name, part_semantic=part_semantic,
+        part_motion=fields.part_motion, occupancy=occupancy,
         coverage=_coverage(p, state_index, mesh, fields, occupancy) if wanted.coverage else {},
         **_sampled_fields("surface", surface, wanted.surface_points),
         surface_color=_surface_color(p, surface, fields) if wanted.surface_color else None,
@@ -57,7 +51,7 @@ def make_instance(p: Prepared, state_index: int) -> Instance:
         collision_depth=colliding and float(colliding.depths(fields.material).max()),
         **_image_fields(p, mesh, fields),
         **_partial_fields(p, state_index, mesh),
-    )
+    )  # fmt: skip
 
 
 def _labelled_grid(grid: Grid, fields: fusion.PosedFields, resolution: int) -> Bytes:

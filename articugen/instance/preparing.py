@@ -40,7 +40,7 @@ MOST_DRAWS = 100  # of a joint state, for one in which parts are not in one anot
 SMALL, SLIT = 0.25, 0.02**2
 """An object shorter than that share of its frame, and slits of more than that area, unit frame, are
 worth a note."""
-HELD = {"nearest": 0.7, "aside": 0.25}  # so that the images' edges cut some of the object
+NEAREST = 0.7  # of cameras that are held, so that the images' edges cut some of the object
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +343,8 @@ def _extras(
     if sampling.partial_cameras == "held":
         sensors = plain_pinhole_views(
             *(sampling.partial_views, sampling.partial_resolution, swept),
-            **HELD,
+            nearest=NEAREST,
+            still=bounds(mesh.part(0).vertices).mean(axis=0),  # so that they see some in each state
             rng=rng("partial"),
         )
     return Extras(ends, edges, colliding, cameras, sensors, paint)

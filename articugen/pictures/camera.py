@@ -48,7 +48,8 @@ def framed(points: Floats, azimuth: float, elevation: float, size: int, *, fill:
     """
     toward_eye = direction(azimuth, elevation)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    T_camera_world = look_along(-toward_eye, middle + 3.5 * toward_eye)
+    away = max(3.5, 2.0 * np.ptp(points, axis=0).max())  # before all of them, however far they lie
+    T_camera_world = look_along(-toward_eye, middle + away * toward_eye)
     in_camera = apply(T_camera_world, points)
     flat = in_camera[:, :2] / in_camera[:, 2:]
     low, high = flat.min(axis=0), flat.max(axis=0)

@@ -100,15 +100,18 @@ def swept(instance: Instance) -> Floats:
 def opened(instance: Instance, share: float) -> Floats:
     """Return (P, 4, 4) how each part moves from this pose to the one in which all joints are at
     this share of their ranges."""
-    J = len(instance.joint_kind)
-    motion = np.tile(np.eye(4), (J + 1, 1, 1))
-    for j in range(J):  # parents come before their children
+
+    def motion(part: int) -> Floats:
+        if part == 0:
+            return np.eye(4)
+        j = part - 1  # its parent may be a later part
         axis, pivot = instance.joint_axis[j], instance.joint_pivot[j]
         q = (1.0 - share) * instance.joint_lower[j] + share * instance.joint_upper[j]
         q -= instance.joint_state[j]
         moved = joint_motion(instance.joint_kind[j] != JointKind.PRISMATIC, axis, q, pivot)
-        motion[j + 1] = motion[instance.joint_parent[j]] @ moved
-    return motion
+        return motion(instance.joint_parent[j]) @ moved
+
+    return np.stack([motion(part) for part in range(len(instance.joint_kind) + 1)])
 
 
 def portrait(

@@ -24,6 +24,7 @@ def build(rng: np.random.Generator) -> Model:
     walls = ring(rectangle(depth, width), inner, 0.0, height)
     flaps = []
     count, upper = int(rng.choice([1, 2, 4])), np.deg2rad(rng.uniform(110.0, 200.0))
+    upper = min(upper, np.pi + GAP / wall)  # beyond, its edge would turn into the wall
     for k in range(count):
         sideways = k % 2 == 1 if count == 4 else count == 2
         reach, along = (y, x) if sideways else (x, y)  # from the edge to the middle, and half of it

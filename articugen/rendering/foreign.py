@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core.arrays import Floats
-from articugen.core.errors import MissingDriver, MissingExtra
+from articugen.core.errors import MissingDriver, MissingExtra, machine_fault
 from articugen.core.records import LabelledMesh, Views
 
 MARGIN = 1e-3
@@ -28,10 +28,11 @@ def import_library(library: str, extra: str, system_packages: str) -> ModuleType
         raise missing_driver(library, system_packages, error) from error
 
 
-def missing_driver(library: str, system_packages: str, error: Exception) -> MissingDriver:
-    """Return the sentence that names what `library` said and the Debian packages that mend it."""
-    message = " ".join(str(error.args[0] if error.args else type(error).__name__).split())
-    return MissingDriver(
+def missing_driver(library: str, system_packages: str, error: Exception) -> Exception:
+    """Return the fault of the machine that it is; else the sentence that names what `library` said
+    and the Debian packages that mend it."""
+    message = " ".join((str(error) or type(error).__name__).split())
+    return machine_fault(error) or MissingDriver(
         f"{library} cannot run on this machine ({message}); "
         f"on Debian, run: apt-get install {system_packages}"
     )

@@ -96,14 +96,15 @@ def plain_pinhole_views(
     *,
     rng: np.random.Generator,
     nearest: float = 1.0,
-    aside: float = 0.0,
+    still: Floats | None = None,
 ) -> Views:
     """`count` pinhole cameras alike, as image-based learners take them: square pixels, the optical
     axis through the middle of the image, `FIELD_OF_VIEW` wide.
 
     Directions are uniform over the upper half of the sphere around what they aim at: the middle of
-    the box, or a point uniform in the box of `aside` times twice its size around that. Distances
-    are uniform from `nearest` to 1.2 times where the sphere around the box just fits the image.
+    the box. With a point `still` (3,) it is a point uniform in the middle half of the box or, for
+    those that would not see it, `still`. Distances are uniform from `nearest` to 1.2 times where
+    the sphere around the box just fits the image.
     """
     center = box.mean(axis=0)
     directions = rng.normal(size=(count, 3))
@@ -111,8 +112,11 @@ def plain_pinhole_views(
     directions[:, 2] = np.abs(directions[:, 2])
     fitting = 0.5 * float(norm(box[1] - box[0])) / float(sin(0.5 * FIELD_OF_VIEW))
     distances = fitting * rng.uniform(nearest, 1.2, size=count)
-    if aside:
-        center = center + rng.uniform(-aside, aside, size=(count, 3)) * (box[1] - box[0])
+    if still is not None:
+        center = center + rng.uniform(-0.25, 0.25, size=(count, 3)) * (box[1] - box[0])
+        to_it = still - (center + distances[:, None] * directions)
+        least = norm(to_it) * float(cos(0.5 * FIELD_OF_VIEW))
+        center = np.where((dot(to_it, -directions) > least)[:, None], center, still)
     T = look_along(-directions, center + distances[:, None] * directions)
     focal = np.full(
         count, 0.5 * resolution * float(cos(0.5 * FIELD_OF_VIEW) / sin(0.5 * FIELD_OF_VIEW))

@@ -109,13 +109,9 @@ def load_object(
 ) -> ArticulatedObject:
     """Read the URDF at `path` as what a source lists; `options` are those of `load_urdf`."""
     return load_urdf(
-        path,
-        object_id=ref.object_id,
-        category=ref.category,
-        source=ref.source,
-        T_world_root=settings.turn,
-        **options,
-    )
+        path, object_id=ref.object_id, category=ref.category, source=ref.source,
+        T_world_root=settings.turn, **options,
+    )  # fmt: skip
 
 
 def load_shortest(
@@ -189,17 +185,10 @@ def _joint(joint: Any, origin: Floats) -> Joint:
         axis = axis / norm(axis)
     mimic = joint.mimic if kind != JointKind.FIXED else None
     return Joint(
-        name=joint.name,
-        kind=kind,
-        parent=joint.parent,
-        child=joint.child,
-        T_parent_joint=origin,
-        axis=axis,
-        lower=lower,
-        upper=upper,
+        name=joint.name, kind=kind, parent=joint.parent, child=joint.child, T_parent_joint=origin,
+        axis=axis, lower=lower, upper=upper, axis_length=length,
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),
-        axis_length=length,
-    )
+    )  # fmt: skip
 
 
 def _limits(joint: Any) -> tuple[float, float]:

@@ -37,7 +37,7 @@ _ENDPOINTS = {
 }
 """Where the environment names another server, by scheme."""
 
-_LIKE_A_URL = re.compile(r"([a-z][a-z0-9+]+)://.+", re.DOTALL)
+_LIKE_A_URL = re.compile(r"([a-z][a-z0-9+_-]+)://(.+)", re.DOTALL | re.IGNORECASE)
 
 
 def is_url(path: object) -> bool:
@@ -48,7 +48,7 @@ def is_url(path: object) -> bool:
 def scheme_of(url: str) -> str:
     """Return the scheme of a URL, "" where it has none."""
     match = _LIKE_A_URL.fullmatch(url)
-    return match[1] if match else ""
+    return match[1].lower() if match else ""
 
 
 def _is_plain(url: str) -> bool:
@@ -175,6 +175,8 @@ class Bucket(Files):
         if scheme_of(url) not in READ_SCHEMES:
             kinds = ", ".join(f"{scheme}://" for scheme in READ_SCHEMES)
             raise InvalidArgument(f"{url}: no object store is called so; give {kinds}")
+        if {"?", "#"} & {*url} or {".", ".."} & {*url.split("/")}:  # it would be another folder
+            raise InvalidArgument(f"{url}: an address holds no ?, # or folder . or ..; name it so")
         try:
             import obstore  # noqa: PLC0415 - optional
             from obstore.store import from_url  # noqa: PLC0415
@@ -198,7 +200,9 @@ class Bucket(Files):
 
     def write(self, name: str, data: bytes | Path) -> None:
         """Write a file, which is there as a whole or not at all."""
-        self._tried(name, lambda: self._obstore.put(self._store, name, data, chunk_size=PART))
+        put = self._obstore.put
+        if not self._tried(name, lambda: put(self._store, name, data, chunk_size=PART)):
+            raise ArticugenError(f"{self.url}/{name}: there is no such bucket, or no file to send")
 
     def write_new(self, name: str, data: bytes) -> bool:
         """Write a file that was not there; whether it holds `data` now."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
-from articugen.core.errors import CorruptShard
+from articugen.core.errors import CorruptShard, machine_fault
 from articugen.core.files import UnfitFile, open_regular
 from articugen.core.schema import MAX_TEXT, Field
 from articugen.store import chunks
@@ -88,8 +88,8 @@ def opened(path: Path | Remote) -> h5py.File:
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         reason = os.strerror(error.errno or 0)
         raise CorruptShard(f"{path}: cannot be opened ({reason})") from None
-    except OSError:
-        raise CorruptShard(
+    except OSError as error:
+        raise machine_fault(error) or CorruptShard(
             f"{path}: not an HDF5 file, or cut short; make it again or fetch it again"
         ) from None
 

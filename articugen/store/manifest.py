@@ -196,23 +196,14 @@ class Manifest(Record):
         objects = tuple(o.made for o in outcomes if o.made)
         return Manifest.sealed(
             schema_version=SCHEMA_VERSION,
-            category=category,
-            source=source,
-            licence=licence,
-            recipe=recipe,
+            category=category, source=source, licence=licence, recipe=recipe, seed=seed,
             recipe_sha256=hashlib.sha256(recipe.encode()).hexdigest(),
-            seed=seed,
-            articugen_version=code_version(),
-            commit=this_commit(),
-            versions=library_versions(),
-            machine=this_machine(),
-            objects=objects,
+            articugen_version=code_version(), commit=this_commit(), versions=library_versions(),
+            machine=this_machine(), objects=objects, shortfall=shortfall, timings=timings,
             shards=tuple(sorted((o.shard for o in outcomes if o.shard), key=lambda s: s.name)),
             content_sha256=content_of(objects),
             **{kind: tuple(filter(None, map(attrgetter(kind), outcomes))) for kind in UNMADE},
-            shortfall=shortfall,
-            timings=timings,
-        )
+        )  # fmt: skip
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from articugen.core import schema
-from articugen.core.errors import CorruptShard
+from articugen.core.errors import CorruptShard, machine_fault
 from articugen.core.schema import Instance, resolution_of
 from articugen.store.bucket import Remote
 from articugen.store.columns import Attribute, attributes_of, columns_of, opened
@@ -132,7 +132,8 @@ class Shard(AbstractContextManager["Shard"]):
         except CorruptShard as error:
             raise CorruptShard(f"{self.path}: {error}; make it again or fetch it again") from None
         except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
-            raise CorruptShard(f"{self.path}: damaged ({error}); make it again") from None
+            damage = CorruptShard(f"{self.path}: damaged ({error}); make it again")
+            raise machine_fault(error) or damage from None
         finally:
             with suppress(RuntimeError):  # HDF5 stumbles once more over what is damaged
                 file.close()
@@ -232,7 +233,7 @@ class Shard(AbstractContextManager["Shard"]):
         try:
             yield
         except (OSError, RuntimeError, ValueError) as error:
-            raise CorruptShard(
+            raise machine_fault(error) or CorruptShard(
                 f"{self.path}: {what}: damaged ({error}); make it again or fetch it again"
             ) from None
 
