@@ -2,6 +2,8 @@
 
 import re
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -20,7 +22,7 @@ from articugen.inspection.report.site import site
 
 KEY = printable(f"train/{HOSTILE}")
 FOLLOWED = """() => { const { joints, camera } = articugen.opened()[0].view.get();
-  const says = (name, at) => `${name}=${at.map((x) => +x.toFixed(4))}`;
+  const says = (name, at) => `${name}=${at.map((x) => +x.toPrecision(6))}`;
   return location.hash.endsWith(`&${says("joints", joints)}&${says("camera", camera)}`); }"""
 
 
@@ -126,20 +128,98 @@ def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: 
     assert faults == []
 
 
-def test_a_host_serves_it_as_well(chromium: Any, made: Path) -> None:
+@contextmanager
+def hosted(folder: Path) -> Iterator[str]:
+    """Its address at a server of this machine."""
+
     class Quiet(SimpleHTTPRequestHandler):
         def __init__(self, *args: Any) -> None:
-            super().__init__(*args, directory=str(made))
+            super().__init__(*args, directory=str(folder))
 
         def log_message(self, format: str, *args: Any) -> None:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Quiet) as server:
         Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_port}/#object=test/b&object=test/b"
-        tab, faults = opened(chromium, address, LAPTOP, 2)
-        assert tab.locator("canvas").count() == 2
+        yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
+
+
+def test_a_host_serves_it_as_well(chromium: Any, made: Path) -> None:
+    with hosted(made) as address:
+        tab, faults = opened(chromium, f"{address}#object=test/b&object=test/b", LAPTOP, 2)
+        assert tab.locator("canvas").count() == 2
+    assert faults == []
+
+
+SCRIPTS = re.compile(r"/objects/\w+\.js$")
+
+
+def test_what_failed_to_load_is_fetched_again(chromium: Any, made: Path) -> None:
+    with hosted(made) as address:
+        tab, _ = opened(chromium, address, LAPTOP, 0)
+        tab.route(SCRIPTS, lambda route: route.fulfill(status=503))
+        tab.evaluate("location.hash = 'object=test/b'")
+        assert "is missing" in tab.inner_text(".shown [role=alert]")
+        tab.unroute(SCRIPTS)
+        tab.evaluate("location.hash = 'all'")
+        tab.wait_for_selector(".wall", state="visible")
+        tab.evaluate("location.hash = 'object=test/b'")
+        tab.wait_for_selector(".viewer[data-ready]")
+
+
+def test_an_object_is_put_beside_one_that_still_loads(chromium: Any, made: Path) -> None:
+    with hosted(made) as address:
+        tab, faults = opened(chromium, address, LAPTOP, 0)
+        tab.route(SCRIPTS, lambda _: None)  # they wait until there is no route
+        first = "object=test/b&joints=50,0.1&camera=1,0.5,2"
+        tab.evaluate(f"location.hash = '{first}'")
+        tab.select_option("nav.tools select", KEY)
+        assert tab.evaluate("location.hash").startswith(f"#{first}&object=train")
+        tab.unroute(SCRIPTS)
+        tab.wait_for_selector(".viewer[data-ready] >> nth=1")
+        found = tab.evaluate("articugen.opened()[0].view.get()")
+    assert found == {"joints": pytest.approx([50, 0.1]), "camera": [1, 0.5, 2]}
+    assert faults == []
+
+
+def test_a_link_has_small_slides_and_those_of_the_object_that_moves(chromium, made) -> None:
+    bare = 'articugen.loaded({"name": "b", "split": "test", "lines": [], "views": null})'
+    script = re.findall(
+        r'data-key="test/b".*?data-script="([^"]+)"', (made / "index.html").read_text()
+    )
+    with hosted(made) as address:
+        tab, _ = alone(chromium, LAPTOP)
+        tab.route(f"**/{script[0]}", lambda route: route.fulfill(body=bare))
+        tab.goto(f"{address}#object=test/b&object={quote(KEY)}")
+        tab.wait_for_selector(".viewer[data-ready]")
+        tab.evaluate("articugen.opened()[1].view.set([12.5, 4.2e-5], [1, 0.5, 2])")
+        tab.wait_for_function("() => location.hash.includes('joints=12.5,0.000042&')")
+        tab.reload()
+        tab.wait_for_selector(".viewer[data-ready]")
+        found = tab.evaluate("articugen.opened().map(({ view }) => view && view.get())")
+    assert found[0] is None
+    assert found[1] == {"joints": pytest.approx([12.5, 4.2e-5]), "camera": [1, 0.5, 2]}
+
+
+def test_a_card_that_is_closed_while_it_unpacks_takes_no_context(chromium: Any, made: Path) -> None:
+    tab, faults = alone(chromium, LAPTOP)
+    tab.add_init_script("""window.contexts = new Set();
+      const get = HTMLCanvasElement.prototype.getContext, read = Response.prototype.arrayBuffer;
+      HTMLCanvasElement.prototype.getContext = function (...of) {
+        const context = get.apply(this, of);
+        contexts.add(context);
+        return context; };
+      const open = new Promise((resolve) => (window.release = resolve));
+      Response.prototype.arrayBuffer = async function () { await open; return read.apply(this); };
+    """)
+    tab.goto(f"{(made / 'index.html').as_uri()}#object=test/b")
+    tab.wait_for_selector("canvas", state="attached")
+    tab.evaluate(f"location.hash = 'object={quote(KEY)}'")
+    tab.wait_for_selector(f"canvas[aria-label^={printable(HOSTILE)[0]!r}]", state="attached")
+    tab.evaluate("release()")
+    tab.wait_for_selector(".viewer[data-ready]")
+    assert tab.evaluate("contexts.size") == 1
     assert faults == []
 
 

@@ -39,31 +39,33 @@
 
   const shown = node("main", { className: "shown", hidden: true });
   document.querySelector("main").before(shown);
-  const title = document.title;
-  const scenes = new Map();
-  let opened = [], latest = 0, waiting = 0;
+  const title = document.title, scenes = new Map();
+  let opened = [], wanted = [], latest = 0, waiting = 0;
 
   const loaded = (file) => {
     if (!scenes.has(file))
       scenes.set(file, new Promise((resolve, reject) => {
         const script = node("script", { src: file });
         script.onload = () => resolve(articugen.scene);
-        script.onerror = () => reject(new Error(`${file} is missing from this folder`));
+        script.onerror = () => // what failed is fetched again when it is opened again
+          (scenes.delete(file), reject(new Error(`${file} is missing from this folder`)));
         document.head.append(script);
       }));
     return scenes.get(file);
   };
   window.articugen = { loaded: (scene) => (articugen.scene = scene), opened: () => opened };
 
-  const asked = () => {
-    const given = new URLSearchParams(location.hash.slice(1));
-    const numbers = (name, at) => (given.getAll(name)[at] || "").split(",").map(parseFloat);
-    return given.getAll("object").slice(0, 2)
-      .map((key, at) => ({ key, joints: numbers("joints", at), camera: numbers("camera", at) }));
-  };
-  const linked = (key, at = {}) =>
-    `object=${encodeURIComponent(key)}` + (at.joints ? `&joints=${at.joints.map((q) => +q.toFixed(4))}&camera=${at.camera.map((c) => +c.toFixed(4))}` : "");
-  const link = () => "#" + opened.map(({ key, view }) => linked(key, view?.get())).join("&");
+  // Numbers belong to the object before them: one without a scene has none.
+  const asked = () => location.hash.slice(1).split(/&(?=object=)/).map((text) => {
+    const values = new URLSearchParams(text);
+    const numbers = (name) => (values.get(name) || "").split(",").map(parseFloat);
+    return { key: values.get("object"), joints: numbers("joints"), camera: numbers("camera"), text };
+  }).filter(({ key }) => key !== null).slice(0, 2);
+  const short = (numbers) => numbers.map((x) => +x.toPrecision(6)); // a slide may be tiny
+  const linked = (key, at) => `object=${encodeURIComponent(key)}` +
+    (at ? `&joints=${short(at.joints)}&camera=${short(at.camera)}` : "");
+  const link = () => "#" + wanted.map(({ key, text }, n) => // as it came until it is opened
+    opened[n] ? linked(key, opened[n].view?.get()) : text).join("&");
   const note = () => {
     clearTimeout(waiting);
     waiting = setTimeout(() => opened.length && history.replaceState(null, "", link()), 300);
@@ -87,7 +89,8 @@
   };
 
   async function show() {
-    const mine = ++latest, wanted = asked();
+    const mine = ++latest;
+    wanted = asked();
     clearTimeout(waiting);
     opened.forEach(({ view }) => view?.close());
     opened = [];
@@ -106,9 +109,9 @@
       const first = link().slice(1).split("&object=")[0];
       location.hash = first + (beside.value && "&" + linked(beside.value));
     });
-    const back = node("a", { href: "#all" }, "← All objects");
     shown.append(node("nav", { className: "tools", "aria-label": "Objects" },
-      back, ...step("Previous", seen[at - 1]), ...step("Next", at < 0 ? null : seen[at + 1]), beside));
+      node("a", { href: "#all" }, "← All objects"), ...step("Previous", seen[at - 1]),
+      ...step("Next", at < 0 ? null : seen[at + 1]), beside));
     shown.classList.toggle("two", wanted.length > 1);
     document.title = `${wanted.map(({ key }) => key).join(" beside ")}: ${title}`;
     window.scrollTo(0, 0);

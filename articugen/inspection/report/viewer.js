@@ -39,10 +39,7 @@ function turn(page, scene, noted = () => {}) {
   function moved(joint, q) {
     const [x, y, z] = joint.axis;
     const T = identity();
-    if (!joint.revolute) {
-      [T[12], T[13], T[14]] = [q * x, q * y, q * z];
-      return T;
-    }
+    if (!joint.revolute) return [...T.slice(0, 12), q * x, q * y, q * z, 1];
     const c = Math.cos(q), s = Math.sin(q), v = 1 - c;
     const R = [
       [c + x * x * v, x * y * v - z * s, x * z * v + y * s],
@@ -148,8 +145,7 @@ function turn(page, scene, noted = () => {}) {
       }
     };
     const L = 0.62 * scene.radius, w = 0.006 * scene.radius;
-    if (joint.revolute) tube(-L, L, w, w);
-    else tube(0, L, w, w);
+    tube(joint.revolute ? -L : 0, L, w, w);
     tube(L, L + 12 * w, 4 * w, 0);
     for (let k = 0; k < 6; k++) {
       const [p, q] = [(k * Math.PI) / 6, ((k + 1) * Math.PI) / 6];
@@ -216,8 +212,7 @@ function turn(page, scene, noted = () => {}) {
     return { array, count: corners.length / 6 };
   }
 
-  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1 };
-  const home = { ...camera };
+  const camera = { azimuth: scene.azimuth, elevation: 0.42, zoom: 1 }, home = { ...camera };
 
   function eyeAndView(aspect) {
     const { azimuth: a, elevation: e } = camera;
@@ -357,7 +352,7 @@ function turn(page, scene, noted = () => {}) {
     return { panel, sliders: joints.map(([slider]) => slider), step, axes, labels, reset, all, stored, fault };
   }
 
-  let draw = () => {}, forget = () => {}, playing = null, awaited = false;
+  let draw = () => {}, forget = () => {}, playing = null, awaited = false, closed = false;
 
   const redraw = () => {
     noted();
@@ -463,7 +458,9 @@ function turn(page, scene, noted = () => {}) {
   (async () => {
     try {
       if (!window.DecompressionStream) throw new Error("This browser is too old to unpack the meshes");
-      started(await unpacked(scene.meshes));
+      const meshes = await unpacked(scene.meshes);
+      if (closed) return; // nobody would give its WebGL context back
+      started(meshes);
       draw();
       page.dataset.ready = "true";
     } catch (error) {
@@ -475,7 +472,7 @@ function turn(page, scene, noted = () => {}) {
     motions, states, view: () => eyeAndView(canvas.width / canvas.height).view,
     get: () => ({ joints: current(), camera: Object.values(camera) }),
     set: (joints, place) => (put(joints), look(...place)),
-    close: () => ((playing = null), forget()),
+    close: () => ((closed = true), (playing = null), forget()),
   };
 }
 
