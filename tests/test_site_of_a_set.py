@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
+import test_cli
 from browser import LAPTOP, PHONE, alone
 from command_line import run
 from instances import hinged_box
@@ -19,11 +20,15 @@ from test_html_report import HOSTILE, STATES, unusual_boxes
 
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, printable
 from articugen.inspection.report.site import site
+from articugen.store.manifest import Manifest
 
 KEY = printable(f"train/{HOSTILE}")
 FOLLOWED = """() => { const { joints, camera } = articugen.opened()[0].view.get();
   const says = (name, at) => `${name}=${at.map((x) => +x.toPrecision(6))}`;
   return location.hash.endsWith(`&${says("joints", joints)}&${says("camera", camera)}`); }"""
+
+
+recipe, laptops = test_cli.recipe, test_cli.made
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +71,29 @@ def test_it_is_made_again_in_its_own_folder_alone(made: Path, data: Path, tmp_pa
     with pytest.raises(MachineFault, match="symbolic link"):
         site(data, linked, jobs=0)
     assert not list((tmp_path / "elsewhere").iterdir())
+
+
+class Counted(tuple):
+    """Objects of a manifest, and how often somebody went through all of them."""
+
+    times = 0
+
+    def __iter__(self) -> Iterator[Any]:
+        Counted.times += 1
+        return super().__iter__()
+
+
+def test_no_object_goes_through_the_whole_manifest(laptops: Path, tmp_path: Path, monkeypatch):
+    manifest = Manifest.read(laptops)
+    entries = [o.model_copy(update={"notes": (o.key.object_id * 2,)}) for o in manifest.objects]
+    manifest = manifest.model_copy(update={"objects": Counted(entries)})
+    monkeypatch.setattr(Manifest, "read", lambda _: manifest)
+    site(laptops, tmp_path / "site", jobs=0)
+    assert Counted.times == 2  # for the pages of objects, and for the table of all
+    pages = [path.read_text() for path in tmp_path.glob("site/objects/*.js")]
+    assert len(pages) == len(entries) == 2
+    for entry in entries:
+        assert [entry.notes[0] in page for page in pages].count(True) == 1
 
 
 def test_a_damaged_shard_leaves_the_former_site_whole(made: Path, tmp_path: Path) -> None:

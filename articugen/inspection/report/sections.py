@@ -21,15 +21,16 @@ from articugen.inspection.report.markup import (  # isort: skip
 from articugen.inspection.report.truth import Measured
 from articugen.pictures.contact_sheet import Portraits
 from articugen.store.manifest import Manifest
+from articugen.store.outcome import ObjectEntry
 
+Entries = Mapping[tuple[str, str], ObjectEntry]  # of a manifest, by split and id
 MOST_JOINTS = 24  # joints of one number whose histograms are drawn
 
 
 def header(path: Path, facts: Facts, manifest: Manifest | None) -> Markup:
     """Return the title, and what the page is about in a sentence."""
     where = f" of {path.name}" if path.suffix == ".h5" else ""
-    if manifest:
-        where = f" from {_source(manifest)}"
+    where = f" from {_source(manifest)}" if manifest else where
     text = f"{counted(len(facts.objects), 'object')} in {counted(facts.instances, 'joint state')}"
     title = el("h1", str(facts.about["category"]))
     return el("header", title, el("p", text + where, class_="lead"))
@@ -183,9 +184,8 @@ def truth(measured: Measured) -> Markup:
     objects = len({one.object_id for one in measured.instances})
     sentence = (
         f"Stored labels of {counted(len(measured.instances), 'instance')} of "
-        f"{counted(objects, 'object')} "
-        "against the exact solids that their models were made from, brought to each pose by the "
-        "stored motions. Nothing of what made the labels is used."
+        f"{counted(objects, 'object')} against the exact solids that their models were made from, "
+        "brought to each pose by the stored motions. Nothing of what made the labels is used."
     )
     return join(
         hint(sentence),
@@ -235,10 +235,14 @@ def alike(other: Path, likeness: Likeness, picture: str) -> Markup:
     )  # fmt: skip
 
 
+def entries_of(manifest: Manifest | None) -> Entries:
+    """Return what a manifest lists, to be looked up."""
+    return {(o.key.split, o.key.object_id): o for o in manifest.objects} if manifest else {}
+
+
 def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     """Return a table of all objects, closed at first."""
-    entries = {(o.key.split, o.key.object_id): o for o in manifest.objects} if manifest else {}
-    rows: list[list[object]] = []
+    entries, rows = entries_of(manifest), list[list[object]]()
     for one in every[:MOST_ROWS]:
         entry = entries.get((one.split, one.object_id))
         rows.append(
@@ -250,9 +254,8 @@ def objects(every: Sequence[ObjectFacts], manifest: Manifest | None) -> Markup:
     head = ("Object", "Split", ">Instances", ">Joints", "Box", ">Occupied", "Shard", "Content",
             "~Notes")  # fmt: skip
     noted = sum(bool(entry.notes) for entry in entries.values())
-    sentence = f"{noted:,} of {len(every):,} objects have notes from their making."
     return join(
-        hint(sentence) if noted else None,
+        hint(f"{noted:,} of {len(every):,} objects have notes from their making.") if noted else "",
         folded(f"All {len(every):,} objects", table(head, rows, "Objects"), len(every)),
     )
 

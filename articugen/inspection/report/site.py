@@ -88,7 +88,7 @@ def site(
         truths: list[Measured] = []
         tiles: list[tuple[str, Markup]] = []
         written: dict[str, int] = {}
-        work = partial(_of_shard, manifest=manifest)
+        work = partial(_of_shard, manifest=manifest, entries=sections.entries_of(manifest))
         done = in_order(work, shards, workers=jobs, name=lambda path: path.name)
         for number, (fact, pages) in enumerate(done, 1):
             about.append(fact)
@@ -152,10 +152,16 @@ class _Page:
     truth: Measured
 
 
-def _of_shard(path: Path, *, manifest: Manifest | None) -> tuple[Facts, list[_Page]]:
-    about = facts([path])
-    category = str(about.about["category"])
-    return about, [_page(category, one, manifest) for one in about.objects]
+def _of_shard(
+    path: Path, *, manifest: Manifest | None, entries: sections.Entries
+) -> tuple[Facts, list[_Page]]:
+    about, pages = facts([path]), []
+    for one in about.objects:
+        if manifest:  # with this object alone, as a page goes through all that it lists
+            entry = entries.get((one.split, one.object_id))
+            manifest = manifest.model_copy(update={"objects": (entry,) if entry else ()})
+        pages.append(_page(str(about.about["category"]), one, manifest))
+    return about, pages
 
 
 def _page(category: str, about: ObjectFacts, manifest: Manifest | None) -> _Page:
@@ -209,12 +215,9 @@ def _cameras(about: ObjectFacts) -> tuple[Picture, str] | None:
 def _of_points(instance: Instance) -> list[Floats]:
     """Return depth maps (DEPTH, DEPTH) of the first partial clouds, each point two pixels wide."""
     maps = []
-    for points, T, (fx, fy, cx, cy) in zip(
-        dequantize(instance.partial_points[: VIEWS * bool(instance.partial_points.size)]),
-        instance.partial_T_camera_world,
-        instance.partial_intrinsics,
-        strict=False,
-    ):
+    clouds = dequantize(instance.partial_points[: VIEWS * bool(instance.partial_points.size)])
+    cameras = instance.partial_T_camera_world, instance.partial_intrinsics
+    for points, T, (fx, fy, cx, cy) in zip(clouds, *cameras, strict=False):
         x, y, z = (points @ T[:3, :3].T + T[:3, 3]).T
         pixels = np.stack([fy * y / z + cy, fx * x / z + cx])
         low, high = pixels.min(axis=1, keepdims=True), pixels.max(axis=1, keepdims=True)
