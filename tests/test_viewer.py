@@ -32,7 +32,7 @@ from articugen.core.records import ENCLOSED, FREE, JointKind, dequantize
 from articugen.core.schema import Instance
 from articugen.inspection.viewer import layers, words
 from articugen.inspection.viewer.layers import Lines, Points
-from articugen.inspection.viewer.panel import MESHES
+from articugen.inspection.viewer.panel import MESHES, Wish
 from articugen.inspection.viewer.serve import served
 from articugen.inspection.viewer.shown import Joint, Shown
 from articugen.inspection.viewer.sources import source_of
@@ -263,6 +263,18 @@ def test_without_a_grid_or_a_source_the_surface_is_shown(viser: Any, tmp_path: P
         assert there.session.fault == ""
         (drawn,) = [d for d, _ in there.session._stage._layers[MESHES]]
         assert isinstance(drawn, Points)
+
+
+def test_a_state_of_one_object_is_not_wished_for_of_the_next(viser: Any, tmp_path: Path) -> None:
+    path = shard(tmp_path / "train-00000.h5", hinged_box())
+    with served(source_of(str(path))) as there:
+        assert there.session.wait(60)
+        panel, first = there.session._panel, there.session.wish
+        chosen = panel._to_state(first, words.state_of(1)).q
+        assert chosen is not None
+        np.testing.assert_allclose(chosen, [0.5, 0.1])
+        other = Wish("other")  # its joints may be of another number
+        assert panel._to_state(other, words.state_of(1)) is other
 
 
 @pytest.mark.parametrize(

@@ -127,15 +127,15 @@ class Panel:
 
     def _box(self, name: str) -> None:
         def flipped(wish: Wish, shown: bool) -> Wish:
-            some = wish.layers | {name} if shown else wish.layers - {name}
-            return replace(wish, layers=some)
+            return replace(wish, layers=wish.layers | {name} if shown else wish.layers - {name})
 
         self._on(self._gui.add_checkbox(name, name in AT_FIRST), flipped)
 
     def _to_state(self, wish: Wish, name: str) -> Wish:
-        if self._shown is None or name == BETWEEN:
+        shown = self._shown  # of which `name` is a state; the wish may be for the next already
+        if shown is None or shown.object_id != wish.object_id or name == BETWEEN:
             return wish
-        return replace(wish, q=self._shown.states[self._state.options.index(name)])
+        return replace(wish, q=shown.states[self._state.options.index(name)])
 
     def _slider(self, j: int, joint: Joint) -> Any:
         scale = Scale.of(joint)
