@@ -142,7 +142,12 @@ def test_on_a_phone_the_object_stands_above_the_controls(chromium: Any, cabinet:
     image = phone.picture(lambda now: now.min() < 150)
     assert_fills(image[: int(0.4 * len(image))])
     assert phone.faults == []
+    placed = cabinet.session._stage._placed
+    other = chromium.new_context().new_page()
+    until(other, lambda: len(placed) == 1)
     phone.tab.close()
+    until(other, lambda: not placed)  # or every window that there ever was would stay
+    other.close()
 
 
 def test_it_is_dark_where_the_system_is(chromium: Any, cabinet: Served) -> None:

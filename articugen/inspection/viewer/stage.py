@@ -33,12 +33,12 @@ class Stage:
         self._layers: dict[str, list[tuple[Drawn, Any]]] = {}
         self.framed = False
         self._placed: dict[int, tuple[float, Floats]] = {}
-        self._points = np.zeros((1, 3))
-        self._toward_eye = np.array([1.0, 0.0, 0.0])
+        self._points, self._toward_eye = np.zeros((1, 3)), np.array([1.0, 0.0, 0.0])
         server.scene.set_up_direction("+z")
         # its usual brightness leaves pale parts white, and none in the colour that it has
         server.scene.configure_environment_map(environment_intensity=0.45)
         server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._forget)
 
     def frame(self, azimuth: float, points: Floats) -> None:
         """Look from this side (rad) at points (n, 3)."""
@@ -70,33 +70,20 @@ class Stage:
         scene = self._server.scene
         if isinstance(drawn, Points):
             return scene.add_point_cloud(
-                name,
-                drawn.points.astype(np.float32),
-                drawn.colours,
-                point_size=drawn.size,
-                point_shape="circle",
-                point_shading="flat",
-            )
+                name, drawn.points.astype(np.float32), drawn.colours,
+                point_size=drawn.size, point_shape="circle", point_shading="flat",
+            )  # fmt: skip
         if isinstance(drawn, Lines):
             # viser 1.1 takes the colours of lines for linear light, unlike all others
             linear = np.round(255.0 * (drawn.colours / 255.0) ** 2.2).astype(np.uint8)
             return scene.add_line_segments(
-                name,
-                drawn.ends.astype(np.float32),
-                linear,
-                thickness=drawn.width,
-                thickness_units="screen",
-            )
+                name, drawn.ends.astype(np.float32), linear,
+                thickness=drawn.width, thickness_units="screen",
+            )  # fmt: skip
         return scene.add_mesh_simple(
-            name,
-            drawn.vertices.astype(np.float32),
-            drawn.faces,
-            color=drawn.colour,
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+            name, drawn.vertices.astype(np.float32), drawn.faces, color=drawn.colour,
+            flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
 
     def _welcome(self, client: "viser.ClientHandle") -> None:
         """Place a window's camera, again as its shape settles, until somebody turns it."""
@@ -108,6 +95,10 @@ class Stage:
             untouched = np.allclose(camera.position, position, atol=1e-3)
             if untouched and abs(camera.aspect - shape) > 1e-3:
                 self._place(client)
+
+    def _forget(self, client: "viser.ClientHandle") -> None:
+        """Keep nothing of a window that was closed."""
+        self._placed.pop(client.client_id, None)
 
     def _place(self, client: "viser.ClientHandle") -> None:
         """Turn a window's camera to what is framed, whatever its shape."""
