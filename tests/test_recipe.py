@@ -360,4 +360,4 @@ def test_whether_joints_keep_to_their_limits_is_said_in_the_recipe_that_is_store
 
 def test_versions_of_sensors_decide_the_data_of_recipes_that_name_them() -> None:
     plain, held = (content.declared(None, load_recipe(n, "oven").text()) for n in (None, "held"))
-    assert held == f"{plain}, partial_cameras 2, kinect_metres 2"
+    assert held == f"{plain}, partial_cameras 3, kinect_metres 2"
