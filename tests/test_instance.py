@@ -453,14 +453,15 @@ def test_held_cameras_are_alike_above_the_floor_and_the_same_in_all_states(make:
     assert np.abs(noisy.partial_points.astype(int) - instance.partial_points).max() > 50
 
 
-def test_held_cameras_see_an_object_that_goes_far(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fixed", [True, False])
+def test_held_cameras_see_an_object_that_goes_far(fixed: bool, tmp_path: Path) -> None:
     """A box of 0.2 m slides by 4 m: in most states nothing is where most cameras look."""
     box = '<visual><geometry><box size="0.2 0.2 0.2"/></geometry></visual>'
     (tmp_path / "far.urdf").write_text(
-        f'<robot name="far"><link name="wall">{box}</link><link name="sledge">{box}</link>'
+        f'<robot name="far"><link name="wall">{box * fixed}</link><link name="sledge">{box}</link>'
         '<joint name="slide" type="prismatic"><parent link="wall"/><child link="sledge"/>'
         '<origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>'
-        '<limit lower="0" upper="4" effort="1" velocity="1"/></joint></robot>'
+        f'<limit lower="0" upper="{4 if fixed else 0.2}" effort="1" velocity="1"/></joint></robot>'
     )
     held = {"partial_cameras": "held", "partial_views": 12, "partial_resolution": 64}
     few = {"grids": [8], "surface_points": 64, "uniform_points": 64, "near_points": 64}

@@ -341,12 +341,12 @@ def _extras(
     if images.views:
         cameras = plain_pinhole_views(images.views, images.resolution, swept, rng=rng("images"))
     if sampling.partial_cameras == "held":
+        still = mesh.part(0).vertices  # perhaps none; they see some of it in each state
         sensors = plain_pinhole_views(
             *(sampling.partial_views, sampling.partial_resolution, swept),
-            nearest=NEAREST,
-            still=bounds(mesh.part(0).vertices).mean(axis=0),  # so that they see some in each state
-            rng=rng("partial"),
-        )
+            still=(bounds(still) if len(still) else swept).mean(axis=0),
+            nearest=NEAREST, rng=rng("partial"),
+        )  # fmt: skip
     return Extras(ends, edges, colliding, cameras, sensors, paint)
 
 
