@@ -46,6 +46,7 @@ def made(tmp_path_factory):
 
 def test_instances_come_out_the_same(made):
     assert list(replay(made, 3)) == [None, None, None]
+    assert list(replay(made, 99)) == 6 * [None]  # of which there are no more
 
 
 def test_data_that_was_changed_is_found(made):
@@ -58,6 +59,8 @@ def test_data_that_was_changed_is_found(made):
     shard.write_bytes(before)
     assert {finding.check for finding in found} == {"replay", "zero level"}
     assert all(finding.shard == shard.name for finding in found)
+    again = {(f.object_id, f.state_index) for f in found if f.check == "replay"}
+    assert len(again) == sum(f.check == "replay" for f in found) == 3  # each of them once
     assert "surface_points" in str(found[0])
 
 

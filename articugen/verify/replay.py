@@ -1,5 +1,6 @@
 """Instances of a data set made again from its source: the proof that it is what it claims to be."""
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +21,8 @@ from articugen.verify.invariants import Finding
 
 
 def replay(folder: Path, count: int) -> Iterator[Finding | None]:
-    """Make `count` instances of a data set again: a finding for each fault, None for each done.
+    """Make `count` instances of a data set again, of as many objects as can be, or all of fewer: a
+    finding for each fault, None for each done.
 
     Each must come out the same to the byte, with its surface points on the field's zero level.
 
@@ -29,18 +31,19 @@ def replay(folder: Path, count: int) -> Iterator[Finding | None]:
     """
     manifest = Manifest.read(folder)
     rng = generator(manifest.seed, manifest.content_sha256, "replay")  # always the same ones
-    order = rng.permutation(len(manifest.objects))
-    spread = [manifest.objects[order[n % len(order)]] for n in range(count)] if len(order) else []
-    for entry, state in [(entry, int(rng.integers(entry.instances))) for entry in spread]:
-        object_id = entry.key.object_id
-        prepared = prepared_again(manifest, object_id)
-        with open_shard(folder / entry.shard) as shard:
-            stored = shard.instance(state)
-        place = (entry.shard, object_id, state)
-        for check, sentence in differences(prepared, stored):
-            elsewhere = made_elsewhere(manifest) if check == "replay" else ""
-            yield Finding(check, sentence + elsewhere, *place)
-        yield None
+    entries = [manifest.objects[n] for n in rng.permutation(len(manifest.objects))]
+    rounds = range(max((entry.instances for entry in entries), default=0))
+    turns = [entry for turn in rounds for entry in entries if turn < entry.instances]
+    for entry, chosen in Counter(turns[:count]).items():
+        prepared = prepared_again(manifest, entry.key.object_id)
+        for state in rng.permutation(entry.instances)[:chosen].tolist():
+            with open_shard(folder / entry.shard) as shard:
+                stored = shard.instance(state)
+            place = (entry.shard, entry.key.object_id, state)
+            for check, sentence in differences(prepared, stored):
+                elsewhere = made_elsewhere(manifest) if check == "replay" else ""
+                yield Finding(check, sentence + elsewhere, *place)
+            yield None
 
 
 def made_elsewhere(manifest: Manifest) -> str:
