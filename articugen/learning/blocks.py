@@ -328,21 +328,23 @@ class Beside:
 
     Args:
         name: of its weights in a checkpoint.
+        optimiser: as recipes call it.
     """
 
-    def __init__(self, name: str, network: nn.Module) -> None:
-        self.name, self._network = name, network
+    def __init__(self, name: str, network: nn.Module, optimiser: str = "adam") -> None:
+        self.name, self.optimiser = name, optimiser
+        self.network: Any = network
 
     def begin_stage(self) -> None:
         """Make a new optimiser."""
-        self.descent = Descent(self._network)
+        self.descent = Descent(self.network, self.optimiser)
 
     def state(self) -> dict[str, Any]:
         adam = self.descent.optimiser.state()
-        return {self.name: self._network.state_dict(), f"{self.name}_adam": adam}
+        return {self.name: self.network.state_dict(), f"{self.name}_adam": adam}
 
     def load(self, state: dict[str, Any]) -> None:
-        self._network.load_state_dict(state[self.name])
+        self.network.load_state_dict(state[self.name])
         self.descent.optimiser.load(state[f"{self.name}_adam"])
 
 

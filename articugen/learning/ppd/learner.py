@@ -123,14 +123,15 @@ class PPDLearner(Predictor):
             chances=CHANCES if settings.vary else 0,
         )
         with made(seed, device):
-            self.model, self.discriminator = PPD(settings.model), Discriminator()
+            self.model = PPD(settings.model)
+            judge = Discriminator().to(device)
+            self.judging = Beside("discriminator", judge, settings.schedule.optimiser)
             few = settings.model.local_points
             self.local = LocalLearning(few, device) if few else None
             self.unjudged = ("local", "local_adam") if few else ()
             reads = settings.model.states == "points"
             self.reading = StateLearning(settings.model, device) if reads else None
         self.model.to(device)
-        self.discriminator.to(device)
         self.mirrors = settings.vary.mirror
         self.points = settings.data.surface_points
         self.at(0)
@@ -144,14 +145,12 @@ class PPDLearner(Predictor):
 
     def _begin_stage(self) -> None:
         """Optimisers start again in each stage, as in the release."""
-        optimiser = self.settings.schedule.optimiser
-        self.descent = Descent(self.model, optimiser)
-        self.discriminator_descent = Descent(self.discriminator, optimiser)
+        self.descent = Descent(self.model, self.settings.schedule.optimiser)
         for beside in self._beside():
             beside.begin_stage()
 
     def _beside(self) -> list[Beside]:
-        return [beside for beside in (self.local, self.reading) if beside]
+        return [beside for beside in (self.judging, self.local, self.reading) if beside]
 
     def begin(
         self, training: PackedSplit, beside: Path, notify: Callable[[str], None] = lambda _: None
@@ -217,17 +216,17 @@ class PPDLearner(Predictor):
         batch, more, aim = self.prepared(batch)
         predict = partial(self.model, batch.cloud, residual_direction=self.residual_direction)
         predicted = predict()
-        posed, judged = None, {}
+        posed, judged, discriminator = None, {}, self.judging.network
         if weigh.adv_g:
             posed = objective.random_pose(self.model, predicted, batch, weigh, rng)
-            judge = partial(objective.discriminator_terms, self.discriminator, batch, posed, weigh)
-            judged = self.discriminator_descent.lower(judge, iteration, rate)
+            judge = partial(objective.discriminator_terms, discriminator, batch, posed, weigh)
+            judged = self.judging.descent.lower(judge, iteration, rate)
         minimize = partial(
             objective.generator_terms,
             self.model,
             batch=batch,
             weigh=weigh,
-            discriminator=self.discriminator,
+            discriminator=discriminator,
             posed=posed,
             aim=more,
         )
@@ -240,10 +239,8 @@ class PPDLearner(Predictor):
         return terms | judged
 
     def check(self) -> None:
-        self.discriminator_descent.check()
-        self.descent.check()
-        for beside in self._beside():
-            beside.descent.check()
+        for descent in (*(beside.descent for beside in self._beside()), self.descent):
+            descent.check()
 
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return how well held-out objects are reconstructed, and how well their motions are
@@ -258,9 +255,7 @@ class PPDLearner(Predictor):
         state = {
             "iteration": self.iteration,
             "model": self.model.state_dict(),
-            "discriminator": self.discriminator.state_dict(),
             "adam": self.descent.optimiser.state(),
-            "discriminator_adam": self.discriminator_descent.optimiser.state(),
         }
         for beside in self._beside():
             state |= beside.state()
@@ -269,9 +264,7 @@ class PPDLearner(Predictor):
     def load(self, state: dict[str, Any]) -> None:
         self.at(max(state["iteration"], 0))
         self.model.load_state_dict(state["model"])
-        self.discriminator.load_state_dict(state["discriminator"])
         self.descent.optimiser.load(state["adam"])
-        self.discriminator_descent.optimiser.load(state["discriminator_adam"])
         for beside in self._beside():
             beside.load(state)
 
