@@ -46,14 +46,9 @@ def test_the_truth_scores_full_marks(boxes):
     assert matched.pop("matched_part_iou") == 1.0
     assert len(matched) == 4 + 5
     assert max(matched.values()) == pytest.approx(0.0, abs=1e-6)
-    assert [(line.joint, line.kind) for line in result.joint_lines] == [
-        (0, "revolute"),
-        (1, "prismatic"),
-    ]
-    for line in result.joint_lines:
-        assert line.slope == pytest.approx(1.0)
-        assert line.residual == pytest.approx(0.0, abs=1e-12)
-        assert line.predicted == line.states == 6
+    joints = [(state.joint, state.kind) for state in result.joint_states]
+    assert joints == 6 * [(0, "revolute"), (1, "prismatic")]
+    assert all(state.predicted == state.true for state in result.joint_states)
     limits = {name: value for name, value in means.items() if "_below_" in name}
     assert len(limits) == 5 + 4 + 5 + 4 + 5
     assert set(limits.values()) == {100.0}
@@ -153,7 +148,7 @@ def test_nothing_predicted_counts_as_failed(boxes):
     result = evaluate(boxes, nothing, FEW)
     means = result.means
     assert means["reconstruction_iou"] == 0.0
-    assert {line.slope for line in result.joint_lines} == {None}
+    assert {state.predicted for state in result.joint_states} == {None}
     assert means["label_iou"] == means["f_score"] == means["type_accuracy"] == 0.0
     assert means["no_surface"] == 1.0
     assert means["epe_joint_all"] == means["epe_transform_all"] == means["epe_nothing_moves"]
@@ -173,7 +168,7 @@ def test_an_axis_that_points_the_other_way_is_as_good(boxes):
 
     result = evaluate(boxes, flipped, FEW)
     means = result.means
-    assert [line.slope for line in result.joint_lines] == pytest.approx([-1.0, -1.0])
+    assert all(state.predicted == -state.true for state in result.joint_states)
     assert means["revolute_state_below_5"] == means["prismatic_state_below_0.025"] == 100.0
     assert means["revolute_direction_below_5"] == 100.0
 
@@ -241,7 +236,7 @@ def test_a_method_without_joints_has_no_numbers_of_joints(boxes):
     shape |= {"chamfer_l1", "f_score", "no_surface"}
     assert set(segments.means) == shape | {"epe_nothing_moves", "matched_part_iou"}
     assert segments.means == {name: full.means[name] for name in segments.means}
-    assert segments.joint_states == segments.joint_lines == segments.joint_errors == ()
+    assert segments.joint_states == segments.joint_errors == ()
     assert (segments.labels, segments.votes) == (full.labels, full.votes)
     # states and directions follow from motions
     motions = evaluate(boxes, lambda i: replace(exactly(i), joints=None), FEW)

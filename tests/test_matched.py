@@ -9,11 +9,11 @@ from instances import changed, hinged_box
 from articugen.core.geometry import apply, rotation_about, transform
 from articugen.core.records import dequantize
 from articugen.evaluation import metrics
-from articugen.evaluation.matched import Matching, joint_errors, matching, pose_errors
+from articugen.evaluation.matched import joint_errors, matching, pose_errors
 from articugen.evaluation.metrics import NO_LABEL
 from articugen.evaluation.reconstruction import truth
 
-EACH = Matching(np.arange(3), np.ones(3))
+EACH = np.arange(3)
 """Every true part with its own number."""
 
 
@@ -47,9 +47,9 @@ def test_the_truth_is_matched_with_itself_whatever_its_numbers(boxes):
     _, posed = boxes
     true = posed.surface_part.astype(np.int64)
     for order in ([0, 1, 2], [4, 0, 2]):
-        found = matching(np.array(order)[true], true, posed, 5)
-        assert found.predicted.tolist() == order
-        assert found.iou.tolist() == [1.0, 1.0, 1.0]
+        predicted, iou = matching(np.array(order)[true], true, posed, 5)
+        assert predicted.tolist() == order
+        assert iou.tolist() == [1.0, 1.0, 1.0]
     for errors in (poses(boxes, truth(posed)), joints(boxes, truth(posed))):
         assert max(errors.values()) == pytest.approx(0.0, abs=1e-6)
 
@@ -60,16 +60,16 @@ def test_points_count_by_area_however_many_of_each_part_are_looked_at(boxes):
     instance = with_points(boxes[0], 600, 300, 100)
     true = np.repeat([0, 1, 2], 10)
     nearest = np.array([0] * 15 + [1] * 5 + [NO_LABEL] * 10)
-    found = matching(nearest, true, instance, 4)
-    assert found.predicted.tolist() == [0, 1, NO_LABEL]
-    np.testing.assert_allclose(found.iou, [600 / 750, 150 / 300, 0.0])
+    predicted, iou = matching(nearest, true, instance, 4)
+    assert predicted.tolist() == [0, 1, NO_LABEL]
+    np.testing.assert_allclose(iou, [600 / 750, 150 / 300, 0.0])
 
 
 def test_a_part_that_no_point_shows_is_not_counted(boxes):
     instance = with_points(boxes[0], 500, 500, 0)
-    found = matching(np.repeat([0, 1], 9), np.repeat([0, 1], 9), instance, 3)
-    assert found.predicted.tolist() == [0, 1, NO_LABEL]
-    np.testing.assert_array_equal(found.iou, [1.0, 1.0, np.nan])
+    predicted, iou = matching(np.repeat([0, 1], 9), np.repeat([0, 1], 9), instance, 3)
+    assert predicted.tolist() == [0, 1, NO_LABEL]
+    np.testing.assert_array_equal(iou, [1.0, 1.0, np.nan])
 
 
 def test_a_part_turned_in_its_place_is_off_by_the_angle(boxes):
@@ -94,7 +94,7 @@ def test_a_part_turned_in_its_place_is_off_by_the_angle(boxes):
 def test_poses_are_read_from_joints_where_there_are_no_transforms(boxes):
     """The knob rides on the lid, which its own joint does not know."""
     first, posed = (replace(truth(i), T_part=None) for i in boxes)
-    lid_alone = Matching(np.array([0, 1, NO_LABEL]), np.ones(3))
+    lid_alone = np.array([0, 1, NO_LABEL])
     errors = dict(pose_errors(boxes, (first, posed), lid_alone))
     turned = np.degrees(boxes[1].joint_state[0])
     assert errors["matched_rotation_degrees_all"] == pytest.approx(turned / 3, abs=1e-3)
@@ -126,9 +126,9 @@ def test_states_are_off_by_what_they_are(boxes):
 
 def test_what_is_missing_or_of_another_kind_fails_and_does_not_move(boxes):
     first, posed = boxes
-    nobody = Matching(np.full(3, NO_LABEL), np.zeros(3))
+    nobody = np.full(3, NO_LABEL)
     lost = joints(boxes, truth(posed), nobody)
-    swapped = joints(boxes, truth(posed), Matching(np.array([0, 2, 1]), np.ones(3)))
+    swapped = joints(boxes, truth(posed), np.array([0, 2, 1]))
     for errors in (lost, swapped):
         assert errors["matched_direction_degrees"] == 90.0
         assert errors["matched_pivot_distance"] == pytest.approx(np.sqrt(3))

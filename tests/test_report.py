@@ -10,7 +10,7 @@ from articugen.evaluation.report import markdown, tables
 from articugen.evaluation.results import (
     EvaluatedRun,
     Evaluation,
-    JointLine,
+    JointState,
     LeftOut,
     RunEvaluation,
     read_evaluation,
@@ -150,14 +150,16 @@ def test_a_run_is_counted_in_its_own_row_of_the_ablation():
 
 
 def test_lines_through_joint_states_are_told():
-    line = JointLine(joint=0, kind="revolute", states=9, predicted=8, slope=-0.98765,
-                     offset=3.0, residual=0.0123)  # fmt: skip
-    lost = JointLine(joint=1, kind="prismatic", states=9, predicted=0, slope=None, offset=None,
-                     residual=None)  # fmt: skip
-    lines = {"joint_lines": (line, lost)}
-    told = markdown(result(reconstruction_iou=0.61).model_copy(update=lines))
-    assert "| joint 0, revolute | -0.988 | 0.012 rad | 8 of 9 |" in told
-    assert "| joint 1, prismatic |   |   | 0 of 9 |" in told
+    turned = ((0.0, 3.0), (1.0, 2.25), (2.0, 0.75), (3.0, 0.0), (4.0, None))
+    states = [(0, "revolute", *pair) for pair in turned] + [(1, "prismatic", 0.5, None)]
+    fields = ("joint", "kind", "true", "predicted")
+    states = tuple(
+        JointState(object="o", state_index=k, **dict(zip(fields, state, strict=True)))
+        for k, state in enumerate(states)
+    )
+    told = markdown(result(reconstruction_iou=0.61).model_copy(update={"joint_states": states}))
+    assert "| joint 0, revolute | -1.050 | 0.168 rad | 4 of 5 |" in told
+    assert "| joint 1, prismatic |   |   | 0 of 1 |" in told
     assert "| reconstruction IoU on the meshes' grid, % | 61.000 |" in told
 
 

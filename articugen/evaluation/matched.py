@@ -8,7 +8,6 @@ measure what they match alone; here nothing is dropped: a true part without a pr
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,26 +24,18 @@ STILL: dict[int, float] = {JointKind.REVOLUTE: float(np.radians(5.0)), JointKind
 """Of a joint that has moved by less, fitted motions do not show the direction: it is not judged."""
 
 
-@dataclass(frozen=True, eq=False)
-class Matching:
-    """Matches of the K true parts of one instance.
-
-    Attributes:
-        predicted: (K,) the predicted part that each is matched with, NO_LABEL for none.
-        iou: (K,) |points of both| / |points of either|; nan of a part that has no point.
-    """
-
-    predicted: Ints
-    iou: Floats
-
-
-def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> Matching:
-    """Predicted with true parts, so that most of an instance's surface points are labelled rightly.
+def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> tuple[Ints, Floats]:
+    """Match predicted with true parts, so that most of an instance's surface points are labelled
+    rightly.
 
     Args:
         nearest, true: (n,) of some of its points, a limited number a true part; each part's stand
             for all that are stored of it, which are uniform by area.
         parts: how many predicted parts there are.
+
+    Returns:
+        (K,) the predicted part that each true part is matched with, NO_LABEL for none; and (K,)
+        |points of both| / |points of either|, nan of a part that has no point.
     """
     K = len(instance.part_motion)
     count = np.bincount(instance.surface_part, minlength=K)
@@ -54,19 +45,19 @@ def matching(nearest: Ints, true: Ints, instance: Instance, parts: int) -> Match
     either = count + np.where(predicted == NO_LABEL, 0.0, shared.sum(1)[predicted]) - both
     iou = np.full(K, np.nan)
     np.divide(both, either, out=iou, where=count > 0)
-    return Matching(predicted, iou)
+    return predicted, iou
 
 
 def pose_errors(
     instances: tuple[Instance, Instance],
     predicted: tuple[Reconstruction, Reconstruction],
-    matched: Matching,
+    matched: Ints,
 ) -> Iterator[tuple[str, float]]:
-    """Means over an instance's true parts of how far rotations and translations are off.
+    """Yield the means over an instance's true parts of how far rotations and translations are off.
 
     Args:
         instances: of one object, the canonical one and another; poses are counted from the former.
-        matched: of the latter.
+        matched: (K,) the predicted part that each true part of the latter is matched with.
     """
     motion = predicted[0].motion_to(predicted[1])
     motion = predicted[0].joint_motion_to(predicted[1]) if motion is None else motion
@@ -76,7 +67,7 @@ def pose_errors(
     points, part = dequantize(canonical.surface_points), canonical.surface_part
     errors = {}
     for k in np.unique(part).tolist():
-        i, some = matched.predicted[k], points[part == k]
+        i, some = matched[k], points[part == k]
         T, T_true = np.eye(4) if i == NO_LABEL else motion[i], instance.part_motion[k]
         centre = 0.5 * (some.min(0) + some.max(0))
         angle = np.degrees(metrics.angle_between_rotations(T[:3, :3], T_true[:3, :3]))
@@ -92,7 +83,7 @@ def pose_errors(
 def joint_errors(
     instances: tuple[Instance, Instance],
     predicted: tuple[Reconstruction, Reconstruction],
-    matched: Matching,
+    matched: Ints,
 ) -> Iterator[tuple[str, float]]:
     """Yield how far each joint's direction, pivot, state and motion (`motions_apart`) since the
     canonical pose are off.
@@ -102,14 +93,14 @@ def joint_errors(
     """
     canonical, instance = instances
     label = np.full(predicted[1].parts, NO_LABEL)
-    there = np.flatnonzero(matched.predicted != NO_LABEL)
-    label[matched.predicted[there]] = there
+    there = np.flatnonzero(matched != NO_LABEL)
+    label[matched[there]] = there
     both = joints_of(*predicted, kinds_of(label, instance))
     if both is None:
         return
     (first, joints), fitted = both, predicted[1].joints is None
     for j, kind in enumerate(instance.joint_kind.tolist()):
-        i, true_axis = int(matched.predicted[j + 1]), instance.joint_axis[j]
+        i, true_axis = int(matched[j + 1]), instance.joint_axis[j]
         revolute = kind == JointKind.REVOLUTE
         true_change = float(instance.joint_state[j] - canonical.joint_state[j])
         direction, pivot, change = RIGHT_ANGLE, DIAGONAL, 0.0

@@ -85,14 +85,13 @@ def occupancy_iou(predicted: NDArray[np.bool_], true: NDArray[np.bool_]) -> floa
     return np.count_nonzero(predicted & true) / either if either else 1.0
 
 
-def line_through(true: Floats, predicted: Floats) -> tuple[float, float, float] | None:
-    """Return (slope, offset, residual): least squares, root mean square; None if `true` does not
-    vary."""
+def line_through(true: Floats, predicted: Floats) -> tuple[float, float] | None:
+    """Return (slope, residual): least squares, root mean square; None if `true` does not vary."""
     if len(true) < 2 or np.ptp(true) < 1e-9:
         return None
     slope, offset = np.polyfit(true, predicted, 1)
     residual = np.sqrt(np.mean((predicted - slope * true - offset) ** 2))
-    return float(slope), float(offset), float(residual)
+    return float(slope), float(residual)
 
 
 def endpoint_error(points: Floats, true: Ints, T_true: Floats, T_predicted: Floats) -> float:

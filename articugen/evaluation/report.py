@@ -10,7 +10,8 @@ import numpy as np
 
 from articugen.core.arrays import grouped
 from articugen.evaluation import paper
-from articugen.evaluation.results import EvaluatedRun, Evaluation, JointLine, RunEvaluation
+from articugen.evaluation.metrics import line_through
+from articugen.evaluation.results import EvaluatedRun, Evaluation, JointState, RunEvaluation
 
 OTHER_DATA = """\
 The paper's rows were measured on other data: a yardstick, not the same test. Failed
@@ -329,7 +330,7 @@ def _details(result: Evaluation) -> list[str]:
     for title, name, factor in _DETAILS:
         if name in result.means:
             lines.append(f"| {title} | {factor * result.means[name]:.3f} |")
-    lines += _joint_lines(result.joint_lines)
+    lines += _joint_lines(result.joint_states)
     limits = {name: value for name, value in result.means.items() if "_below_" in name}
     if limits:
         lines += ["", "| joints | error below | right, % |", "|---|---:|---:|"]
@@ -357,17 +358,17 @@ def _objects(result: Evaluation) -> list[str]:
     return ["", *_aligned([head, *(cells for _, cells in table)])] if table else []
 
 
-def _joint_lines(joints: Sequence[JointLine]) -> list[str]:
+def _joint_lines(states: Sequence[JointState]) -> list[str]:
     """Return the line through predicted over true states of each joint's dominant part."""
-    if not joints:
+    if not states:
         return []
     lines = ["", "| predicted over true joint state | slope | residual | of its kind in |"]
     lines += ["|---|---:|---:|---:|"]
-    for joint in joints:
-        unit = "rad" if joint.kind == "revolute" else "of the unit frame"
-        fit = "  |  "
-        if joint.slope is not None:
-            fit = f"{joint.slope:.3f} | {joint.residual:.3f} {unit}"
-        share = f"{joint.predicted} of {joint.states}"
-        lines.append(f"| joint {joint.joint}, {joint.kind} | {fit} | {share} |")
+    groups = grouped(((s.joint, s.kind), (s.true, s.predicted)) for s in states)
+    for (joint, kind), pairs in sorted(groups.items()):
+        known = [pair for pair in pairs if pair[1] is not None]
+        line = line_through(*np.array(known, np.float64).reshape(-1, 2).T)
+        unit = "rad" if kind == "revolute" else "of the unit frame"
+        fit = f"{line[0]:.3f} | {line[1]:.3f} {unit}" if line else "  |  "
+        lines.append(f"| joint {joint}, {kind} | {fit} | {len(known)} of {len(pairs)} |")
     return lines

@@ -58,22 +58,6 @@ class Measures(_Record):
     values: dict[str, float]
 
 
-class JointLine(_Record):
-    """The line through a joint's predicted over its true states; None where there is none.
-
-    `states` is how many there are, `predicted` how many have a value; `residual` is the root mean
-    square.
-    """
-
-    joint: int
-    kind: Kind
-    states: int
-    predicted: int
-    slope: float | None
-    offset: float | None
-    residual: float | None
-
-
 class LeftOut(_Record):
     """Numbers of instances and true parts that the release's protocol does not count."""
 
@@ -92,7 +76,7 @@ class Evaluation(_Record):
             latter names each true part once at most.
         objects, instances: how many were evaluated.
         left_out: of the release's protocol alone.
-        joint_states, joint_lines, joint_errors: empty for a method without joints.
+        joint_states, joint_errors: empty for a method without joints.
         measures: of every instance, by the names of `means`; empty in evaluations of before.
     """
 
@@ -104,7 +88,6 @@ class Evaluation(_Record):
     instances: int
     left_out: LeftOut | None = None
     joint_states: tuple[JointState, ...] = ()
-    joint_lines: tuple[JointLine, ...] = ()
     joint_errors: tuple[JointError, ...] = ()
     measures: tuple[Measures, ...] = ()
 

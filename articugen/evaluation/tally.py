@@ -1,7 +1,6 @@
 """What is measured of instances whose votes are cast, by the paper's rules, and its means."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,24 +12,10 @@ from articugen.core.records import Floats, JointKind, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.evaluation import metrics
-from articugen.evaluation.matched import (
-    STILL,
-    Matching,
-    joint_errors,
-    kinds_of,
-    matching,
-    pose_errors,
-)
+from articugen.evaluation.matched import STILL, joint_errors, kinds_of, matching, pose_errors
 from articugen.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
 from articugen.evaluation.reconstruction import Reconstruction, joints_of
-from articugen.evaluation.results import (
-    Evaluation,
-    JointError,
-    JointLine,
-    JointState,
-    Kind,
-    Measures,
-)
+from articugen.evaluation.results import Evaluation, JointError, JointState, Kind, Measures
 from articugen.meshes.distances import distance
 from articugen.meshes.marching_cubes import zero_level
 from articugen.pictures.solids import shown
@@ -125,11 +110,12 @@ class Tally:
             for name, error in errors(*both, matched):
                 self.add(**{name: error})
 
-    def _measure_shape(self, instance: Instance, predicted: Reconstruction) -> Matching:
+    def _measure_shape(self, instance: Instance, predicted: Reconstruction) -> Ints:
+        """Return (K,) the predicted part that each true part is matched with."""
         near, true = nearest_parts(instance, predicted, self.protocol)
-        matched = matching(near, true, instance, predicted.parts)
+        matched, iou = matching(near, true, instance, predicted.parts)
         self.add_label_iou(near, true)
-        self.add(matched_part_iou=float(np.nanmean(matched.iou)))
+        self.add(matched_part_iou=float(np.nanmean(iou)))
         grid = instance.occupancy.get(len(predicted.occupied))
         if grid is not None:
             true_grid = is_material(grid) if self.protocol.occupancy == "material" else grid > 0
@@ -235,7 +221,6 @@ class Tally:
             objects=self.objects,
             instances=len(values.get("label_iou", [])),
             joint_states=tuple(self.joint_states),
-            joint_lines=tuple(_joint_lines(self.joint_states)),
             joint_errors=tuple(self.joint_errors),
             measures=tuple(
                 Measures(object=name, state_index=index, values=_means(row))
@@ -312,17 +297,6 @@ def _which(instance: Instance, joint: int) -> dict[str, Any]:
     kind = KINDS[int(instance.joint_kind[joint])]
     place = {"object": instance.object_id, "state_index": instance.state_index}
     return {**place, "joint": joint, "kind": kind}
-
-
-def _joint_lines(states: list[JointState]) -> Iterator[JointLine]:
-    groups: dict[tuple[int, Kind], list[JointState]] = {}
-    for state in states:
-        groups.setdefault((state.joint, state.kind), []).append(state)
-    for (joint, kind), pairs in sorted(groups.items(), key=lambda group: group[0]):
-        known = [(s.true, s.predicted) for s in pairs if s.predicted is not None]
-        line = metrics.line_through(*np.array(known, np.float64).reshape(-1, 2).T)
-        fit = dict(zip(("slope", "offset", "residual"), line or (None,) * 3, strict=True))
-        yield JointLine(joint=joint, kind=kind, states=len(pairs), predicted=len(known), **fit)
 
 
 def _right(error: JointError, judged: set[str]) -> dict[str, float]:
