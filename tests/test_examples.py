@@ -42,7 +42,7 @@ def run(name: str, folder: Path, *arguments: object) -> str:
 @pytest.mark.skipif(not importlib.util.find_spec("torch"), reason="torch is not installed")
 def test_a_model_of_ones_own_learns_parts(tmp_path: Path) -> None:
     (tmp_path / "little.yaml").write_text(LITTLE)
-    told = run("train_your_model", tmp_path, "--recipe", "little.yaml", "--iterations", 70)
+    told = run("train_your_model", tmp_path, "--recipe", "little.yaml", "--iterations", 45)
     scores = {
         name: (float(accuracy), float(iou))
         for name, accuracy, iou in re.findall(r"(\w+): accuracy ([\d.]+), part IoU ([\d.]+)", told)

@@ -104,7 +104,7 @@ def test_a_race_that_is_over_resumes_to_itself(boxes, whole, tmp_path):
     assert told(whole)["winner"] != 1, "whose checkpoint is of another seed than the race"
     shutil.copytree(whole.path, tmp_path / "000")
     (tmp_path / "000" / BEST).unlink()  # as if it was killed after the first copy
-    again = commands.train(boxes, resume=tmp_path / "000")
+    again = commands.train(boxes, resume=tmp_path / "000", jobs=1)
     assert told(again) == told(whole)
     assert same_state(again, whole)
 
@@ -118,7 +118,7 @@ def test_a_seed_that_dropped_out_goes_on_alone(boxes, whole, tmp_path):
     assert (before.iteration, read_checkpoint(path / LATEST).iteration) == (2, 6)
     assert same_state(run, train(Training(TINY, "box", boxes, tmp_path, seed=int(loser))))
     assert not (path / RACE).exists()
-    assert told(commands.train(boxes, resume=tmp_path / "000")) == told(whole)
+    assert told(commands.train(boxes, resume=tmp_path / "000", jobs=1)) == told(whole)
 
 
 def test_a_seed_that_diverges_loses(boxes, tmp_path, monkeypatch):
