@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from articugen.core.errors import InvalidArgument, InvalidCheckpoint, UnfitData
 from articugen.core.files import make_folder
-from articugen.core.processes import Crew
+from articugen.core.processes import Crew, default_jobs
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.discovery import KINDS, Directions, FoundJoint, Joints, discover, parts_of_surface
 from articugen.learning.sealed import read_arrays, write_arrays
@@ -135,7 +134,7 @@ def _looked_for(
             outcomes[i] = _read(read_arrays(task.path, FORMAT))
         except InvalidCheckpoint:  # not there, or of a disk that lost power
             missing[i] = task
-    with Crew(_look, workers=os.cpu_count() or 1, notice=notify) as crew:
+    with Crew(_look, workers=default_jobs(), notice=notify) as crew:
         looks = crew.in_order([*missing.values()])
         before = len(objects) - len(missing)
         for count, (i, one) in enumerate(zip(missing, looks, strict=True), before + 1):
