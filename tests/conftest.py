@@ -117,6 +117,15 @@ def forget_plugins() -> Callable[[], None]:
     return forget
 
 
+@pytest.fixture
+def few_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Has figures of learners show one object in as few poses as there can be, and small: at its
+    full size a picture takes half a second."""
+    for name, few in (("OBJECTS", 1), ("STEPS", 2), ("EXAMPLE_STATES", 1)):
+        monkeypatch.setattr(f"articugen.evaluation.figures.{name}", few)
+    monkeypatch.setattr("articugen.pictures.portrait.tile_camera.__defaults__", (32,))
+
+
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     with browser() as opened:

@@ -50,10 +50,9 @@ def test_training_says_what_was_found_of_joints(tmp_path):
     assert done.output.count("joints are known of 2 of 2 training objects") == 1
 
 
-def test_evaluate_predict(folder, monkeypatch):
+@pytest.mark.usefixtures("few_pictures")
+def test_evaluate_predict(folder):
     data, runs = folder / "data", folder / "runs"
-    for name, few in (("OBJECTS", 1), ("STEPS", 2), ("EXAMPLE_STATES", 1)):
-        monkeypatch.setattr(f"articugen.evaluation.figures.{name}", few)  # 0.5 s a portrait
     done = articugen("evaluate", runs / "box", "-d", data, "--no-figures")
     assert re.search(r"box, labels +\| T2 label IoU \| T2 finer ", done.output)
     done = articugen("evaluate", runs / "box", "-d", data, "--resolution", 8)
@@ -156,6 +155,7 @@ def test_several_data_sets_are_learned_from_together(folder, tmp_path):
     assert "was started on other data" in " ".join(done.output.split())
 
 
+@pytest.mark.usefixtures("few_pictures")
 def test_depth_input_and_the_release_s_protocol(folder, monkeypatch):
     monkeypatch.chdir(folder)
     data, run = folder / "data", folder / "runs-depth" / "box" / "000"
@@ -176,8 +176,6 @@ def test_depth_input_and_the_release_s_protocol(folder, monkeypatch):
     assert "| ppd_depth_quick, depth |" in done.output
     result = json.loads((run / "evaluation-release" / "evaluation.json").read_text())
     assert (result["run"]["input"], result["run"]["method"]) == ("depth", "ppd_depth")
-    for name, few in (("OBJECTS", 1), ("STEPS", 2)):
-        monkeypatch.setattr(f"articugen.evaluation.figures.{name}", few)
     drawn = draw(run, data, RunEvaluation.model_validate_json(json.dumps(result)))
     assert {path.parent.name for path in drawn} == {"evaluation-release"}
     rig = ("--camera", 1, "--out", folder / "rig-depth", "--resolution", 16)

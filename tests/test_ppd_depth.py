@@ -146,7 +146,7 @@ def test_both_clouds_are_varied_alike_where_the_teacher_s_objects_were(varied, t
 def test_the_third_stage_of_varied_objects_resumes_exactly_without_its_teacher(varied, tmp_path):
     boxes, base = varied
     done = third_stage(boxes, base, tmp_path / "whole")
-    teacher = shutil.copytree(base, tmp_path / "teacher")
+    teacher = shutil.copytree(base, base.parent / "teacher")  # beside the joints
     part = third_stage(boxes, teacher, tmp_path / "part", stop_after=7)
     shutil.rmtree(teacher)
     again = trained(boxes, resume=part.path)
@@ -162,6 +162,7 @@ def test_a_teacher_that_was_trained_by_another_recipe_meanwhile_is_refused(base,
         train(Training(other, "box", boxes, tmp_path))
 
 
+@pytest.mark.usefixtures("few_pictures")
 def test_figures_show_what_it_makes_of_what_one_camera_sees(whole, boxes, tmp_path, monkeypatch):
     threads, given = torch.get_num_threads() + 1, []
     reconstruct = DepthLearner.reconstruct
@@ -229,6 +230,7 @@ def without_direction(outcome):
     return dataclasses.replace(outcome, numbers=numbers)
 
 
+@pytest.mark.usefixtures("few_pictures")
 def test_it_watches_a_recorded_laptop(tmp_path, monkeypatch):
     data = write_boxes(tmp_path / "laptop", category="laptop", **BOXES)
     base = train(Training(TINY, "laptop", data, tmp_path / "runs")).path
