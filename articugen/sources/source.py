@@ -87,7 +87,8 @@ class Source:
             raise InvalidSource("no category is asked for; name one as articugen sources lists it")
         there: Iterable[str] = ()
         if "all" in names and self.yaml:
-            there = [name for name, splits in self.counts().items() if splits]
+            found = self.file.categories if self.is_made else self.counts()
+            there = [name for name in found if found[name]]
         elif "all" in names:
             kinds = {model.kinds for model in listing.mixed_models(self.folder, self.file)}
             stated = {next(filter(None, map(self.file.own_name, k)), k[0]) for k in kinds if k}
@@ -306,20 +307,20 @@ class Source:
         refs: list[ObjectRef] = []
         i = 0
         while max(left.values()) > 0 or i <= max(numbers, default=-1):
-            ref = self.made(category, i)
+            ref = self.made(category, i, maker)
             if take(left, ref.split) or i in numbers:
                 refs.append(ref)
             i += 1
         return refs
 
-    def made(self, category: str, index: int) -> ObjectRef:
-        """Return object number `index` of a source that makes them, of which each number has a
-        split, however many are asked for."""
-        assert self.maker is not None
+    def made(self, category: str, index: int, maker: Maker | None = None) -> ObjectRef:
+        """Return object number `index` of a source that makes them; it decides the split."""
+        maker = maker or self.maker
+        assert maker is not None
         train, test = self._sizes(category)
         both = train + test
         split = "test" if (index + 1) * test // both > index * test // both else "train"
-        name = self.maker.object_id(category, index)
+        name = maker.object_id(category, index)
         return ObjectRef(
             self.name, category, name, split, self.folder / category / name,
             reader=self.file.reader, is_made=True, messy=self.file.messy, varied=self.file.varied,
