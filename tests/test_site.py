@@ -21,7 +21,7 @@ HERE = CHECKOUT / "docs" / "site"
 LITTLE = """\
 extends: quick
 objects: 1
-articulation: {states: 2}
+articulation: {states: 1}
 views: {count: 8, resolution: 64}
 sampling: {surface_points: 2048, uniform_points: 64, near_points: 64, partial_views: 0, grids: [8]}
 max_rejected_fraction: 1.0
@@ -59,7 +59,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site with a gallery of one object a category, in a folder of no simple name."""
     root = tmp_path_factory.mktemp("a site, ünusual")
     (root / "little.yaml").write_text(LITTLE)
-    little = ("--recipe", root / "little.yaml", "--jobs", 0, "--many", 2)
+    little = ("--recipe", root / "little.yaml", "--jobs", 0, "--many", 1)
     made = called(HERE / "gallery.py", root / "gallery", *little)
     assert made.returncode == 0, made.stderr
     assert "gallery: oven, 4 of 5 ..." in made.stdout
