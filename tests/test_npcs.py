@@ -314,6 +314,7 @@ def test_it_resumes_exactly(boxes, tmp_path):
     resumed_exactly(Training(plan(6), category="box", data=boxes, runs=tmp_path / "runs"), 3)
 
 
+@pytest.mark.usefixtures("few_pictures")
 def test_it_learns_and_is_judged_and_makes_no_mesh(boxes, tmp_path):
     run = train(Training(plan(300), category="box", data=boxes, runs=tmp_path / "runs"))
     found = evaluate(run.path, boxes, resolution=16)
