@@ -28,12 +28,8 @@ from articugen.learning.run_folder import RunFolder
 
 torch.set_num_threads(1)
 
-
-@pytest.fixture(autouse=True)
-def _few_portraits(monkeypatch):
-    """Of each recipe in the figure of a comparison, which is drawn at each end of one."""
-    monkeypatch.setattr("articugen.evaluation.figures.EXAMPLE_STATES", 1)
-
+pytestmark = pytest.mark.usefixtures("few_pictures")
+"""A comparison's figure is drawn at each end of one."""
 
 SMALL = """
   model: {voxels: 16, widths: [16, 8], branches: 3}
