@@ -48,20 +48,8 @@ def patches(clouds, cells, along):
     blocks = cells // along
     row = np.full(B * blocks**3, -1, np.int32)
     filled = np.empty(min(len(row), 8 * B * n), np.int64)
+    values = np.empty((len(filled), along**3), np.float32)
     count = 0
-    for b in range(B):
-        for i in range(n):
-            x0, _ = _cell(clouds[b, i, 0], cells)
-            y0, _ = _cell(clouds[b, i, 1], cells)
-            z0, _ = _cell(clouds[b, i, 2], cells)
-            for c in range(8):
-                x, y, z = x0 + (c >> 2), y0 + (c >> 1 & 1), z0 + (c & 1)
-                patch = ((b * blocks + x // along) * blocks + y // along) * blocks + z // along
-                if row[patch] < 0:
-                    row[patch] = count
-                    filled[count] = patch
-                    count += 1
-    values = np.zeros((count, along**3), np.float32)
     for b in range(B):
         for i in range(n):
             x0, dx = _cell(clouds[b, i, 0], cells)
@@ -71,12 +59,16 @@ def patches(clouds, cells, along):
                 u, v, w = c >> 2, c >> 1 & 1, c & 1
                 x, y, z = x0 + u, y0 + v, z0 + w
                 patch = ((b * blocks + x // along) * blocks + y // along) * blocks + z // along
+                if row[patch] < 0:
+                    row[patch], filled[count] = count, patch
+                    values[count] = 0.0
+                    count += 1
                 inside = (x % along * along + y % along) * along + z % along
                 share = dx if u else np.float32(1.0) - dx
                 share *= dy if v else np.float32(1.0) - dy
                 share *= dz if w else np.float32(1.0) - dz
                 values[row[patch], inside] += share
-    return filled[:count].copy(), values
+    return filled[:count].copy(), values[:count].copy()
 
 
 @kernel
