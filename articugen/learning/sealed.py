@@ -75,8 +75,10 @@ def read_arrays(path: Path, wanted: str) -> dict[str, Any]:
     Raises:
         InvalidCheckpoint: there is none, it is damaged, or not one of ours.
     """
-    image = _unsealed(path)
+    image = read_or_refuse(path, MOST_BYTES, InvalidCheckpoint, CURE)
     try:
+        if sealed(image) != image:
+            raise ValueError("not the bytes that were written")
         header = json.loads(image[8 : 8 + int.from_bytes(image[:8], "little")])
         rest = header["__metadata__"][_ENTRY][len(_UNSEALED) :]
         data = json.loads(rest, parse_constant=_infinity)
@@ -109,14 +111,3 @@ def _put(data: dict[str, Any], keys: list[str], array: NDArray[Any]) -> None:
     if last in data:
         raise KeyError(last)
     data[last] = array
-
-
-def _unsealed(path: Path) -> bytes:
-    image = read_or_refuse(path, MOST_BYTES, InvalidCheckpoint, CURE)
-    try:
-        is_whole = sealed(image) == image
-    except ValueError:
-        raise InvalidCheckpoint(f"{path}: not a checkpoint of ours, or damaged; {CURE}") from None
-    if not is_whole:
-        raise InvalidCheckpoint(f"{path}: damaged, not the bytes that were written; {CURE}")
-    return image
