@@ -13,6 +13,7 @@ from ppd_data import write_boxes
 from test_workers import children
 
 from articugen.core.errors import InvalidCheckpoint, InvalidRecipe, TrainingDiverged, UnfitData
+from articugen.core.yaml_files import with_settings
 from articugen.learning import commands
 from articugen.learning import race as race_module
 from articugen.learning.loop import Training, train
@@ -95,7 +96,7 @@ def test_an_interrupted_race_goes_on(boxes, whole, tmp_path):
     assert told(run) == told(whole)
     assert same_state(run, whole)
     assert ("seed 1", 1) not in seen  # the first seed's first heat was done
-    other = TINY.with_seeds(2)
+    other = with_settings(TINY, ["seeds.count=2"])
     with pytest.raises(InvalidCheckpoint, match="another recipe"):
         race(Training(other, "box", boxes, tmp_path, seed=1, resume=path))
 
@@ -167,8 +168,8 @@ def test_half_goes_on():
 def test_seeds_that_cannot_be_compared_are_refused(change, said):
     bad = TINY.model_copy(update=change)
     with pytest.raises(InvalidRecipe, match=said):
-        bad.with_seeds(2)
-    assert bad.with_seeds(1).seeds.count == 1
+        with_settings(bad, ["seeds.count=2"])
+    assert with_settings(bad, ["seeds.count=1"]).seeds.count == 1
 
 
 @pytest.mark.parametrize(("name", "choice"), [("ppd_quick", "rec or moved"), ("nsd", "left out")])

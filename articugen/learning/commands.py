@@ -116,15 +116,15 @@ def train(
     else:
         resume = Path(resume)
         settings, seed = RunFolder(resume).recipe(), RunFolder(resume).about()["seed"]
-        wanted = load_recipe(recipe or settings, method=method)
-        if not with_settings(wanted, changes).same_but_seeds(settings):
+        wanted = with_settings(load_recipe(recipe or settings, method=method), changes)
+        if wanted.sha256() != settings.model_copy(update={"seeds": wanted.seeds}).sha256():
             raise InvalidCheckpoint(
                 f"{resume}: was started with another recipe; leave out --recipe and --set, or "
                 "start a new run"
             )
         seeds = None
     if seeds is not None:
-        settings = settings.with_seeds(seeds)
+        settings = with_settings(settings, [f"seeds.count={seeds}"])
     source = data.for_training() if isinstance(data, Endless) else _folders(data)
     category = category or (
         source.category if isinstance(source, Endless) else Manifest.read(source[0]).category

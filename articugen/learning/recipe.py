@@ -168,15 +168,6 @@ class TrainRecipe(Section):
                 )
         return self
 
-    def with_seeds(self: Recipe, count: int) -> Recipe:
-        """This recipe with another number of seeds.
-
-        Raises:
-            InvalidRecipe: they cannot be compared.
-        """
-        seeds = {**self.seeds.model_dump(), "count": count}
-        return validated(type(self), self.model_dump() | {"seeds": seeds}, "--seeds")
-
     def scaled(self: Recipe, share: float, checks: int, **more: Any) -> Recipe:
         """Return this recipe with each stage `share` times as long, and one seed.
 
@@ -196,10 +187,6 @@ class TrainRecipe(Section):
         data |= {"schedule": data["schedule"] | often, "seeds": {}}
         data |= {key: times(data[key]) for key in self.COUNTED}
         return validated(type(self), data | more, self.name)
-
-    def same_but_seeds(self, other: "TrainRecipe") -> bool:
-        """Return whether the other decides the same runs, however many of them race."""
-        return self.sha256() == other.model_copy(update={"seeds": self.seeds}).sha256()
 
     def text(self) -> str:
         """Return the resolved recipe as YAML, every key spelt out."""
