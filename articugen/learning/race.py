@@ -8,7 +8,6 @@ processes take part.
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -89,7 +88,10 @@ def race(what: Training, *, jobs: int = 1, on_progress: Notify = lambda _: None)
         with given_back(SHARDS):
             learner.begin(next(windows), what.beside, notify)
         del learner, windows  # all instances
-        with one_thread(), _crew(jobs, on_progress, notify) as crew:
+        with one_thread(), Crew(
+            Heat.run, workers=0 if jobs == 1 else jobs, ready=partial(torch.set_num_threads, 1),
+            on_report=on_progress, notice=notify, name=lambda heat: f"seed {heat.what.seed}",
+        ) as crew:  # fmt: skip
             racing = list(range(what.seed, what.seed + recipe.seeds.count))
             rounds: list[dict[str, Any]] = []
             for stop in (*recipe.seeds.halve_at, total):
@@ -130,17 +132,3 @@ def _note(run: RunFolder, rounds: list[dict[str, Any]], **more: Any) -> None:
     by = f"validation {next(iter(scores[0]))}" if scores else "validation"
     record = {"chosen_by": by, "rounds": rounds, **more}
     write_atomically(run.path / RACE, (json.dumps(record, indent=1) + "\n").encode())
-
-
-def _crew(
-    jobs: int, on_progress: Notify, notify: Callable[[str], None]
-) -> Crew[Heat, dict[str, float] | None]:
-    """Return the crew that runs the heats: this process one after the other, or `jobs` workers."""
-    return Crew(
-        Heat.run,
-        workers=0 if jobs == 1 else jobs,
-        ready=partial(torch.set_num_threads, 1),
-        on_report=on_progress,
-        notice=notify,
-        name=lambda heat: f"seed {heat.what.seed}",
-    )
