@@ -82,10 +82,10 @@ def test_objects_are_new_in_each_window_and_none_is_held_out(tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("_here")
 def test_other_methods_learn_from_a_stream(tmp_path: Path) -> None:
-    few = ag.stream("laptop", ROWS, states=1)
+    few = ag.stream("box", ROWS, "procedural", states=1)
     run = ag.train(few, {"extends": "bae", **TINY["bae"]}, runs=tmp_path)
     assert run.metrics()[-1]["iteration"] == 6
-    assert run.about()["category"] == "laptop"
+    assert run.about()["category"] == "box"
 
 
 def test_what_ends_or_is_twice_given_is_refused(tmp_path: Path) -> None:
