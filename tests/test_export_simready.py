@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from functools import cache
 
 import exports
 import numpy as np
@@ -17,11 +18,17 @@ import articugen as ag
 BOXES, rows, exported = exports.BOXES, exports.rows, exports.exported
 
 
-def test_a_lid_rests_opens_by_a_push_and_stays_within_its_limits(laptops, tmp_path):
+@pytest.fixture(scope="module")
+def models(laptops, tmp_path_factory):
+    """The folder of the laptops in a format, with convex pieces, written once."""
+    out = tmp_path_factory.mktemp("models")
+    return cache(lambda to: ag.export(laptops, to, out / to, collision=True, resolution=64).folder)
+
+
+def test_a_lid_rests_opens_by_a_push_and_stays_within_its_limits(models):
     """2,000 steps at rest; pushed by half its friction, by twice, by ten times to the stops."""
     mujoco = pytest.importorskip("mujoco", reason="make exporters installs it")
-    ag.export(laptops, "mjcf", tmp_path / "m", collision=True, resolution=64)
-    paths = sorted(tmp_path.glob("m/*/*/*.xml"))
+    paths = sorted(models("mjcf").glob("*/*/*.xml"))
     assert len(paths) == 2
     for path in paths:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -79,12 +86,11 @@ def test_usd_states_what_simready_wants_to_know(exported, rows):
         assert len(picture.getcolors(65536) or ()) > 100  # something is drawn
 
 
-def test_usd_passes_nvidias_own_validator(laptops, tmp_path):
+def test_usd_passes_nvidias_own_validator(models):
     pytest.importorskip("pxr", reason="make exporters installs it")
     why = "make exporters installs it, on Python 3.11 and 3.12"
     validate = pytest.importorskip("simready.validate", reason=why)
-    ag.export(laptops, "usd", tmp_path / "u", collision=True, resolution=64)
-    paths = sorted(tmp_path.glob("u/*/*/usd/*.usdc"))
+    paths = sorted(models("usd").glob("*/*/usd/*.usdc"))
     assert len(paths) == 2
     there = ("rules_and_requirements_paths", "features_paths", "profiles_paths")
     validate.initialize(**{name: [] for name in there})  # the installed ones
@@ -112,12 +118,10 @@ def checked(folder, program, *arguments):
     return re.sub(r"\x1b\[[0-9;]*m", "", done.stdout)
 
 
-def test_programs_that_check_robots_find_nothing(laptops, tmp_path):
-    for to in ("mjcf", "urdf"):
-        ag.export(laptops, to, tmp_path / to, collision=True, resolution=64)
-    for path in tmp_path.glob("mjcf/*/*/*.xml"):
+def test_programs_that_check_robots_find_nothing(models, tmp_path):
+    for path in models("mjcf").glob("*/*/*.xml"):
         assert f"{path.name}  — clean" in checked(tmp_path, "mjcf_doctor", "check", path)
-    paths = sorted(tmp_path.glob("urdf/*/*/*.urdf"))
+    paths = sorted(models("urdf").glob("*/*/*.urdf"))
     assert len(paths) == 2
     for path in paths:
         words = checked(tmp_path, "isaaclab_robot_doctor", "check", path)
