@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from articugen.core.geometry import apply, bounds, rotation_about, transform
 from articugen.core.recipe import Fusion, load_recipe
 from articugen.fusion.field import OwnSolid, flooded, fuse, own_solid
-from articugen.fusion.reachable import DRY, SOLID, flood, walls
+from articugen.fusion.reachable import DRY, SOLID, flood, touched
 from articugen.fusion.solidify import closed_piece
 from articugen.fusion.winding import closed_pieces
 from articugen.instance import articulation
@@ -97,13 +97,13 @@ def test_value_and_occupancy_agree():
 def test_walls_are_the_voxels_that_faces_touch():
     """Against points sprinkled over the faces, and against the exact overlap of a big triangle."""
     solid = rotated(box((0.6, 0.4, 0.3)), 0.4, (1, 2, 3))
-    state = walls(labelled(solid), 2 / 32)
+    state = touched(labelled(solid), 32)
     assert state.shape == (32, 32, 32)
     sprinkled = np.asarray(solid.sample(200_000))
-    touched = np.zeros_like(state)
-    touched[tuple(((sprinkled + 0.5) * 32).astype(int).T)] = 1
-    assert np.all(state[touched == 1] == 1)
-    assert np.mean(touched[state == 1]) > 0.9  # the rest is grazed at corners
+    hit = np.zeros_like(state)
+    hit[tuple(((sprinkled + 0.5) * 32).astype(int).T)] = 1
+    assert np.all(state[hit == 1] == 1)
+    assert np.mean(hit[state == 1]) > 0.9  # the rest is grazed at corners
 
 
 @settings(deadline=None)
@@ -114,7 +114,7 @@ def test_a_box_is_shut_wherever_its_faces_lie_between_the_voxels(fifths):
     assume((low < high).all())
     mesh = labelled(box(high - low, (low + high) / 2 - 0.5))
     tree = tree_of(mesh.vertices[mesh.faces])
-    wet = flood(walls(mesh, 2 / 96), mesh, tree, np.eye(4)[None])
+    wet = flood(mesh, 96, tree, np.eye(4)[None])
     within = low + np.random.default_rng(0).uniform(0.001, 0.999, (200, 3)) * (high - low) - 0.5
     assert not wet.fills(within).any()
 

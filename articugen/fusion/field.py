@@ -32,7 +32,7 @@ from articugen.core.portable import turned
 from articugen.core.recipe import Fusion
 from articugen.core.records import ENCLOSED, FREE, DepthMaps, LabelledMesh, Views
 from articugen.fusion import kernels
-from articugen.fusion.reachable import DRY, SOLID, WET, Flood, flood, walls
+from articugen.fusion.reachable import DRY, SOLID, WET, Flood, flood
 from articugen.fusion.thin import NOTHING, ThinVoxels
 from articugen.fusion.winding import ClosedPieces, surely_inside
 from articugen.meshes.bvh import Bvh, tree_of, triangle_table
@@ -327,5 +327,5 @@ def flooded(field: FusedField, mesh: LabelledMesh) -> FusedField:
     """Return the field of `mesh` by the rule `reachable`; with the rule `mean` as it is."""
     if field.settings.rule == "mean" or field.flood is not None:
         return field
-    state = walls(mesh, field.settings.opening)
-    return replace(field, flood=flood(state, mesh, field.bvh, field.part_motion))
+    resolution = max(4, round(2.0 / field.settings.opening))  # an opening is two voxels wide
+    return replace(field, flood=flood(mesh, resolution, field.bvh, field.part_motion))

@@ -52,12 +52,6 @@ class Flood:
         return _reaches(flat, self.state, self.to_part, self.bvh)
 
 
-def walls(mesh: LabelledMesh, opening: float) -> Bytes:
-    """Return (n, n, n) uint8: 1 in the voxels that a face touches; n so that `opening` is two
-    voxels."""
-    return touched(mesh, max(4, round(2.0 / opening)))
-
-
 def touched(mesh: LabelledMesh, resolution: int) -> Bytes:
     """Return (resolution,) * 3 uint8 over the unit cube: 1 in the voxels that a face touches."""
     state = np.zeros((resolution,) * 3, np.uint8)
@@ -66,14 +60,13 @@ def touched(mesh: LabelledMesh, resolution: int) -> Bytes:
     return state
 
 
-def flood(state: Bytes, mesh: LabelledMesh, bvh: Bvh, part_motion: Floats) -> Flood:
-    """Flood the voxels that are not walls from the faces of the cube.
+def flood(mesh: LabelledMesh, resolution: int, bvh: Bvh, part_motion: Floats) -> Flood:
+    """Flood the voxels of the cube that no face touches, `resolution` along an edge, from outside.
 
     Args:
-        state: as `walls` makes it.
-        mesh: the faces that made it.
         bvh, part_motion: of the posed mesh.
     """
+    state = touched(mesh, resolution)
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     low, high = (bounds(corners) + 0.5) * len(state) if len(corners) else np.zeros((2, 3))
     first = np.clip(low.astype(int), 0, len(state) - 1)

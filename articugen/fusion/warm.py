@@ -7,7 +7,7 @@ from articugen.core.recipe import Fusion
 from articugen.core.records import DepthMaps
 from articugen.fusion import kernels, solidify
 from articugen.fusion.field import FusedField
-from articugen.fusion.reachable import Flood, flood, touched
+from articugen.fusion.reachable import Flood, flood
 from articugen.fusion.thin import NOTHING, way_meets
 from articugen.fusion.winding import closed_pieces, surely_inside
 from articugen.meshes.bvh import Bvh, tree_of
@@ -56,4 +56,4 @@ def solids() -> None:
 def boxes() -> None:
     mesh = tetrahedron()
     tree_of(mesh.vertices[mesh.faces])
-    flood(touched(mesh, 8), mesh, _TREE, np.eye(4)[None])
+    flood(mesh, 8, _TREE, np.eye(4)[None])

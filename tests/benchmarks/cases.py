@@ -117,8 +117,7 @@ class Scene:
         for part, T in enumerate(invert_rigid(motion)):
             rest = np.flatnonzero(~held)
             mesh = self.prepared.mesh.part(part)
-            walls = reachable.touched(mesh, 256)
-            open_to = reachable.flood(walls, mesh, self.prepared.bvh, np.eye(4)[None])
+            open_to = reachable.flood(mesh, 256, self.prepared.bvh, np.eye(4)[None])
             rest = rest[~open_to.reaches(apply(T, points[rest]))]
             alone = self._of_part(part)
             world = self._world(points[rest])
