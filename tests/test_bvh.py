@@ -2,7 +2,7 @@ import numpy as np
 from numba import njit
 
 from articugen.core.geometry import invert_rigid, rotation_about, transform
-from articugen.meshes.bvh import joined, meets, tree_of
+from articugen.meshes.bvh import joined_trees, meets, tree_of
 from tests.shapes import Convex, box, labelled, rotated
 
 
@@ -27,7 +27,7 @@ def test_rays_meet_what_the_exact_solids_say():
     mesh = labelled(*solids)
     two_parts = (mesh.part_of_face >= 20).astype(np.uint8)
     corners = mesh.vertices[mesh.faces]
-    bvh = joined([tree_of(corners[two_parts == part]) for part in (0, 1)])
+    bvh = joined_trees([tree_of(corners[two_parts == part]) for part in (0, 1)])
     T = transform(rotation_about((0, 0.6, 0.8), 0.5), (0.1, 0.05, -0.1))
     motion = np.stack([np.eye(4), T])
     for k in range(20, 40):
@@ -51,7 +51,7 @@ def test_rays_meet_what_the_exact_solids_say():
 def test_every_face_is_in_one_leaf():
     mesh = labelled(box((1, 1, 1)), box((0.5, 0.5, 0.5)), box((0.1, 0.1, 0.1)))
     parts = [mesh.part(k) for k in range(4)]  # part 3 has no faces
-    h = joined([tree_of(part.vertices[part.faces]) for part in parts])
+    h = joined_trees([tree_of(part.vertices[part.faces]) for part in parts])
     assert list(h.roots[-2:]) == [h.roots[-1]] * 2
     held = [f for first, count in h.leaf for f in range(first, first + count)]
     assert sorted(held) == list(range(36))

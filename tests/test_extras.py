@@ -18,7 +18,7 @@ from articugen.core.geometry import invert_rigid, rotation_about, transform
 from articugen.core.records import FREE, dequantize
 from articugen.instance.sampling import SurfacePoints
 from articugen.instance.sharp import sharp_edges, sharp_points
-from articugen.meshes.bvh import joined, tree_of
+from articugen.meshes.bvh import joined_trees, tree_of
 from articugen.rendering.images import images
 from articugen.rendering.views import plain_pinhole_views
 from articugen.verify import extras, invariants
@@ -71,7 +71,7 @@ def test_distances_are_those_to_the_nearest_triangle(seed, count):
     corners[: count // 8, 2] = corners[: count // 8, 1]  # some are segments
     points = rng.uniform(-0.5, 0.5, (50, 3))
     part = rng.integers(0, 2, count).astype(np.uint8)
-    faces = joined([tree_of(corners[part == k]) for k in (0, 1)])
+    faces = joined_trees([tree_of(corners[part == k]) for k in (0, 1)])
     motion = np.stack([np.eye(4), transform(translation=[0.1, -0.2, 0.0])])
     posed = corners + motion[part][:, None, :3, 3]
     each = [

@@ -33,6 +33,7 @@ from articugen.instance import articulation
 from articugen.instance.painted import Paint
 from articugen.instance.sharp import SharpEdges, sharp_edges
 from articugen.instance.swept import swept_box
+from articugen.meshes.bvh import Bvh, joined_trees
 from articugen.rendering.views import fusion_views, plain_pinhole_views
 
 MOST_PARTS = 254  # labels are uint8: 0 free, k + 1 material of part k, 255 enclosed
@@ -101,7 +102,7 @@ class Prepared:
     unit: Normalization
     mesh: LabelledMesh
     seen: Bools
-    bvh: fusion.Bvh
+    bvh: Bvh
     views: Views
     closed: Bools
     static: DepthMaps
@@ -215,7 +216,7 @@ def _prepared(
     static = backend.render(parts[0].mesh, views)
     fixed = fusion.seen_by(static, parts[0], recipe.fusion)
     solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
-    bvh = fusion.joined_bvh([part.tree for part in parts])
+    bvh = joined_trees([part.tree for part in parts])
     paint = Paint.of(obj, soup, parts) if recipe.shows_colours else None
     rng = partial(generator, seed, obj.category, obj.object_id)
     swept = swept_box(mesh, motions[: len(states)])  # the same for any reach
@@ -321,7 +322,7 @@ def _states_apart(p: Prepared) -> tuple[tuple[JointState, ...], int]:
 def _extras(
     mesh: LabelledMesh,
     solids: Sequence[fusion.OwnSolid],
-    bvh: fusion.Bvh,
+    bvh: Bvh,
     swept: Floats,
     recipe: Recipe,
     rng: Callable[[str], np.random.Generator],

@@ -56,7 +56,7 @@ def tree_of(corners: Floats) -> Bvh:
     return Bvh(box[:count], skip[:count], leaf[:count], triangle_table(faces[order]), roots)
 
 
-def joined(trees: Sequence[Bvh]) -> Bvh:
+def joined_trees(trees: Sequence[Bvh]) -> Bvh:
     """Return the trees of several parts, one after the other."""
     first_node = np.cumsum([0, *(len(tree.skip) for tree in trees)])
     first_face = np.cumsum([0, *(len(tree.triangles) for tree in trees)])

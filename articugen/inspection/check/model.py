@@ -31,6 +31,7 @@ from articugen.core.seeding import generator
 from articugen.inspection.check.faces import BENEATH, Faces, Soup
 from articugen.instance import articulation
 from articugen.instance.preparing import MOST_PARTS, canonical_mesh, names_of, own_solid, solid_part
+from articugen.meshes.bvh import joined_trees
 from articugen.rendering.views import fusion_views
 
 RECIPE = Recipe(name="check", views=ViewSettings(count=60, resolution=192))
@@ -230,7 +231,7 @@ class _Model:
         self.mesh = LabelledMesh.joined([solid.mesh for solid in self.solids])
         if not len(self.mesh.faces):
             raise RejectedInstance("it has no faces: those of its links have no area")
-        self.bvh = fusion.joined_bvh([solid.tree for solid in self.solids])
+        self.bvh = joined_trees([solid.tree for solid in self.solids])
         self.colliding = fusion.Colliding.of(self.mesh, self.bvh, rng=generator(0, "check"))
         self.alone = np.zeros((obj.part_count,) * 2)  # how much deeper joints that move alone bring
 
