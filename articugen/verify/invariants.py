@@ -14,7 +14,6 @@ from articugen.core.arrays import grouped
 from articugen.core.errors import spelt_out
 from articugen.core.recipe import Recipe
 from articugen.core.schema import Instance
-from articugen.verify import extras
 from articugen.verify.exact import GEOMETRY_CHECKS, OBJECT_CHECKS, VALUE_CHECKS, InstanceCheck
 from articugen.verify.sampled import SHARE_CHECKS, Samples, Share, flow_shares
 
@@ -49,7 +48,7 @@ def faults(rows: Sequence[Instance], recipe: Recipe) -> Iterator[Finding]:
     for row in rows:
         wrong = list(_of(row, recipe, VALUE_CHECKS))
         # Geometry computed from senseless values would only repeat, or hide, what is wrong.
-        yield from wrong or _of(row, recipe, GEOMETRY_CHECKS | extras.CHECKS)
+        yield from wrong or _of(row, recipe, GEOMETRY_CHECKS)
         sensible += [] if wrong else [row]
     yield from _refused(shares(sensible, recipe))
     for check, judge in OBJECT_CHECKS.items():
