@@ -82,7 +82,7 @@ class FusedField:
             return self.value(points[which]) > 0.0
         if self.flood is None:
             return self.is_seen_free(points, which)
-        free = self.flood.fills(points[which])  # most of what is free, without asking a view
+        free = self.flood.around(points[which]) == WET  # most of what is, without asking a view
         rest = np.flatnonzero(~free)
         free[rest] = self.is_seen_free(points, which[rest])
         unseen = rest[~free[rest]]

@@ -37,13 +37,9 @@ class Flood:
     bvh: Bvh
     to_part: NDArray[np.float32]
 
-    def fills(self, points: NDArray[np.floating]) -> Bools:
-        """Return (n,) which of the `points` (n, 3) lie in a reached voxel: no face is between them
-        and its centre, so that they are free, whatever the views see."""
-        return self.around(points) == WET
-
     def around(self, points: NDArray[np.floating]) -> Bytes:
-        """Return (n,) the state of the voxel of each of `points` (n, 3)."""
+        """Return (n,) the state of the voxel of each of `points` (n, 3). In a reached one no face
+        is between a point and its centre, so that it is free, whatever the views see."""
         return _around(np.ascontiguousarray(points, np.float32), self.state)
 
     def reaches(self, points: NDArray[np.floating]) -> Bools:

@@ -36,7 +36,7 @@ def rays() -> None:
     points = _POINT.astype(np.float32)
     way_meets(points, points, np.float32(1.0), _TREE)
     water = Flood(np.zeros((2, 2, 2), np.uint8), _TREE, np.zeros((1, 3, 4), np.float32))
-    water.fills(points)
+    water.around(points)
     water.reaches(points)
     kernels.in_box(points, np.zeros(1, np.intp), np.eye(4), _BOX)
 
