@@ -29,8 +29,6 @@ MAX_LINE_BYTES = 2**20  # of an OBJ: a face with so many corners is none
 MAX_COORDINATE = 1e9
 """Largest absolute coordinate; beyond it differences lose everything smaller than 0.1 um."""
 
-_Arrays = tuple[Floats, Ints, scenes.Paint]
-
 _WANTED = ContextVar("_WANTED", default="meshes")
 
 _NAME_OTHER_FILES = (".glb", ".gltf")
@@ -232,7 +230,7 @@ def _obj_lines(data: bytes) -> bytes:
     return re.sub(rb"\n[ \t\v\f]+", b"\n", b"\n%b\n" % data.translate(_OBJ_BLANKS))
 
 
-def _read_obj(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+def _read_obj(data: bytes, path: Path, files: ModelFiles) -> scenes.Arrays:
     """Read `v` and `f` lines, also with texture and normal indices, polygons, negative (relative)
     indices, continued lines and comments; materials where they are wanted."""
     data = _obj_lines(data)
@@ -301,7 +299,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("at
 _STL_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
-def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> scenes.Arrays:
     """STL, binary where the size fits the count in the header, else ASCII."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + count * _STL_TRIANGLE.itemsize:
@@ -326,7 +324,7 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     return vertices, np.arange(len(vertices)).reshape(-1, 3), None
 
 
-def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> scenes.Arrays:
     """MuJoCo's own format: numbers of vertices, normals, texture coordinates and faces, and each of
     these."""
     counts = np.frombuffer(data[:16].ljust(16, b"\0"), "<u4")
@@ -341,7 +339,7 @@ def _read_msh(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     return points.reshape(-1, 3), corners.reshape(-1, 3), None
 
 
-_READERS: dict[str, Callable[[bytes, Path, ModelFiles], _Arrays]] = {
+_READERS: dict[str, Callable[[bytes, Path, ModelFiles], scenes.Arrays]] = {
     ".obj": _read_obj,
     ".stl": _read_stl,
     ".msh": _read_msh,

@@ -35,11 +35,11 @@ _MAX_DEPTH = 100  # of nodes that instance others
 Paint = Callable[[], Painted | None] | None
 """Returns what a mesh's faces show; None where it states no colours, or none are wanted."""
 
-_Arrays = tuple[Floats, Ints, Paint]
+Arrays = tuple[Floats, Ints, Paint]
 _T = TypeVar("_T")
 
 
-def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
+def read_ply(data: bytes, path: Path, _files: ModelFiles) -> Arrays:
     """PLY, ASCII or binary."""
     try:
         claimed = claimed_rows(data)
@@ -52,7 +52,7 @@ def read_ply(data: bytes, path: Path, _files: ModelFiles) -> _Arrays:
     return vertices, faces, None
 
 
-def read_dae(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+def read_dae(data: bytes, path: Path, files: ModelFiles) -> Arrays:
     """COLLADA. As in ROS, the file's unit is applied and its up axis is not."""
     root = parse_xml(data, path)
     unit = root.find("{*}asset/{*}unit")
@@ -151,7 +151,7 @@ def _dae_faces(geometry: Any, path: Path) -> int:
     return faces
 
 
-def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
+def read_glb(data: bytes, path: Path, files: ModelFiles) -> Arrays:
     """Binary glTF 2.0."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise _broken(path, "has no GLB header")
@@ -161,7 +161,7 @@ def read_glb(data: bytes, path: Path, files: ModelFiles) -> _Arrays:
     return read_gltf(data, path, files, data[20 : 20 + json_length])
 
 
-def read_gltf(data: bytes, path: Path, files: ModelFiles, text: bytes | None = None) -> _Arrays:
+def read_gltf(data: bytes, path: Path, files: ModelFiles, text: bytes | None = None) -> Arrays:
     """glTF 2.0 as JSON; its buffers lie inside it or in files of the model. Of a GLB that is its
     `text`."""
     text = data if text is None else text
@@ -188,7 +188,7 @@ def _spared(path: Path, read: Callable[[Looks], _T]) -> _T | None:
 
 def _through_trimesh(
     data: bytes, path: Path, scene_paint: materials.ScenePaint | None = None, **options: Any
-) -> _Arrays:
+) -> Arrays:
     import trimesh  # noqa: PLC0415 - takes a second, and many commands read no mesh
 
     file_type = path.suffix.lower().lstrip(".")
