@@ -367,9 +367,8 @@ def _handle(rng: np.random.Generator, s: LaptopShape) -> list[Solid]:
     """Build a carrying handle at the front."""
     half, out, r = s.width * rng.uniform(0.18, 0.3), rng.uniform(24, 34) * MM, 5 * MM
     z = (s.deck + s.floor) / 2
-    turn = np.linspace(0.0, np.pi / 2, 5)[:, None] * np.ones(2)
-    bend = 14 * MM
-    arc = np.stack([-half + bend * (1 - cos(turn[:, 0])), -bend * sin(turn[:, 0])], 1)
+    turn, bend = np.linspace(0.0, np.pi / 2, 5), 14 * MM
+    arc = np.stack([-half + bend * (1 - cos(turn)), -bend * sin(turn)], 1)
     arc[:, 1] += s.front - out + bend
     left = np.concatenate([[(-half, s.front + 3 * MM)], arc])
     path = np.concatenate([left, left[::-1] * (-1, 1)])

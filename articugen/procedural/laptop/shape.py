@@ -153,22 +153,22 @@ class LaptopShape:
     def middle(self) -> Floats:
         return np.array([0.0, (self.rear + self.front) / 2])
 
-    def outline(self, inset: float, segments: int = 5) -> Floats:
+    def outline(self, inset: float) -> Floats:
         """Return the outline from above up to the hinge, `inset` within the base's walls."""
-        return self._rounded(self.rear, inset, float(self.drops), segments)
+        return self._rounded(self.rear, inset, float(self.drops))
 
-    def lid_outline(self, inset: float, segments: int = 5) -> Floats:
+    def lid_outline(self, inset: float) -> Floats:
         """Return the lid's outline from above when closed, `inset` within its walls."""
-        return self._rounded(self.lid_rear, inset, 1.0, segments)
+        return self._rounded(self.lid_rear, inset, 1.0)
 
-    def _rounded(self, rear: float, inset: float, rear_share: float, segments: int) -> Floats:
+    def _rounded(self, rear: float, inset: float, rear_share: float) -> Floats:
         """Return a rounded rectangle from the front to `rear`; its rear corners have `rear_share`
         of the radius of the others."""
         depth = rear - self.front
         radii = np.array([1.0, 1.0, rear_share, rear_share]) * self.corner - inset
         middle = (0.0, self.front + depth / 2)
         size = self.width - 2 * inset, depth - 2 * inset
-        return rounded_rectangle(*size, np.maximum(radii, 0.5 * MM), middle, segments)
+        return rounded_rectangle(*size, np.maximum(radii, 0.5 * MM), middle, segments=5)
 
     def bottom(self, y: Floats | float) -> Floats | float:
         """Return the height of the base's underside, which falls to the rear."""
