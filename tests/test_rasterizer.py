@@ -68,9 +68,7 @@ def test_a_cut_square_is_covered_exactly_once(seed):
     inner[:4] = (np.round(inner[:4] * 32 - 0.5) + 0.5) / 32
     ring = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     points = np.unique(np.concatenate([ring, inner]), axis=0)
-    triangles = Delaunay(points).simplices
-    vertices = np.c_[points, np.zeros(len(points))]
-    assert np.all(times_covered(vertices, triangles, 32) == 1)
+    assert np.all(times_covered(points, 32) == 1)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -82,15 +80,15 @@ def test_triangles_smaller_than_a_pixel_cover_each_centre_once(seed):
     points = (
         np.unique(np.concatenate([ring, rng.integers(-20, 21, (500, 2))]), axis=0) / 32 - 1 / 16
     )
-    vertices = np.c_[points, np.zeros(len(points))]
-    triangles = Delaunay(points).simplices
-    assert np.all(times_covered(vertices, triangles, 8) == 1)
+    assert np.all(times_covered(points, 8) == 1)
 
 
-def times_covered(vertices, triangles, resolution):
-    """(R, R) how many of the triangles, each drawn alone, cover each pixel."""
+def times_covered(points, resolution):
+    """(R, R) how many of the triangles that tile points (n, 2), each drawn alone, cover each
+    pixel."""
     count = np.zeros((resolution, resolution), int)
-    for face in triangles:
+    vertices = np.c_[points, np.zeros(len(points))]
+    for face in Delaunay(points).simplices:
         mesh = LabelledMesh(vertices, face[None], np.zeros(1, np.uint8))
         count += np.isfinite(rasterize(mesh, straight_view(resolution)).depth[0])
     return count

@@ -123,13 +123,18 @@ def test_repeated_and_empty_faces_go_once():
     assert len(solidify.unrepeated(labelled(flat))) == 1
 
 
-def test_a_wall_closes_the_rim_and_no_inner_edge():
-    """A square of two triangles: two caps of two, and four rim edges of two walls each."""
-    mesh = labelled(sheet())
+def thickened(sheets):
+    """Sheets that are seen from both sides, as slabs 0.01 thick, and which faces are seen."""
+    mesh = labelled(sheets)
     where = solidify.probes(mesh, 1e-3)
     free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
     closed = np.zeros(len(mesh.faces), bool)
-    solid, seen, _ = solidify.solidified(mesh, where, free, shown, 0.01, closed)
+    return solidify.solidified(mesh, where, free, shown, 0.01, closed)[:2]
+
+
+def test_a_wall_closes_the_rim_and_no_inner_edge():
+    """A square of two triangles: two caps of two, and four rim edges of two walls each."""
+    solid, seen = thickened(sheet())
     assert len(solid.faces) == 2 * 2 + 4 * 2
     assert seen.all()
     closed = trimesh.Trimesh(solid.vertices, solid.faces)
@@ -185,11 +190,7 @@ def bent_sheet(turns: int = 12, bend: float = np.radians(150.0), radius: float =
 
 def test_a_bent_sheet_becomes_one_watertight_solid_of_its_thickness():
     strip, facet = bent_sheet()
-    mesh = labelled(strip)
-    where = solidify.probes(mesh, 1e-3)
-    free, shown = np.ones((2, len(where.face)), bool), np.ones((2, len(mesh.faces)), int)
-    closed = np.zeros(len(mesh.faces), bool)
-    solid, *_ = solidify.solidified(mesh, where, free, shown, 0.01, closed)
+    solid, _ = thickened(strip)
     together = trimesh.Trimesh(solid.vertices, solid.faces)
     together.merge_vertices(digits_vertex=9)
     trimesh.repair.fix_winding(together)
