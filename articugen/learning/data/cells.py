@@ -24,8 +24,6 @@ from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.fitness import check_varies
 from articugen.store.shards import Shard
 
-Packed = tuple[NDArray[np.int32], NDArray[np.int32]]
-
 KEPT = 2048
 """Free and occupied cells that are kept of an instance, each: together 16 KiB."""
 
@@ -82,8 +80,8 @@ def pack(
     occupied: Bools,
     names: NDArray[Any],
     states: NDArray[np.integer],
-) -> Packed:
-    """`index` and `count` of `LabelledCells`: at most `KEPT` of each label, chosen at random.
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return `LabelledCells.index` and `count`: at most `KEPT` of each label, chosen at random.
 
     Args:
         kind: `band` or `varying`. Which cells are kept depends on it, names and states alone.

@@ -31,6 +31,9 @@ from articugen.learning.tensors import changed
 from articugen.store.manifest import Manifest
 from articugen.store.shards import Shard, open_shard
 
+VALIDATED = 64
+"""Instances of objects that are held out by which a learner is validated, at most."""
+
 JOINTS = ("kind", "state", "axis", "pivot")
 """The fields of joints that are packed for a learner which asks for motions."""
 
@@ -75,18 +78,15 @@ class PackedSplit:
     def __len__(self) -> int:
         return len(self.object_id)
 
-    @property
-    def bytes(self) -> int:
-        """Return the size of the tensors."""
-        sizes = []
-        changed(self, Tensor, lambda tensor: sizes.append(tensor.nbytes) or tensor)
-        return sum(sizes)
-
     def poses_of(self, name: str) -> NDArray[np.intp]:
         """Return the rows of an object, by their state: its canonical pose, where it is there,
         comes first."""
         rows = np.flatnonzero(self.object_id == name)
         return rows[np.argsort(self.state_index[rows], kind="stable")]
+
+    def evenly(self) -> NDArray[np.intp]:
+        """Return the rows of at most `VALIDATED` instances, from the first to the last."""
+        return np.linspace(0, len(self) - 1, min(VALIDATED, len(self))).astype(int)
 
     def of(self, objects: Iterable[str]) -> "PackedSplit":
         """Return the instances of these objects alone."""
