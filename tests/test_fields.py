@@ -5,6 +5,7 @@ import pytest
 import torch
 from ppd_data import write_boxes
 
+from articugen.learning import fields
 from articugen.learning.data.batch import BatchSpec
 from articugen.learning.data.split import load_split
 from articugen.learning.fields import (
@@ -48,9 +49,10 @@ def test_each_ball_has_its_surface_and_what_is_nowhere_none():
     assert found.occupied.mean() == pytest.approx(volume, rel=0.05)
 
 
-def test_a_fine_grid_need_only_be_evaluated_near_surfaces():
+def test_a_fine_grid_need_only_be_evaluated_near_surfaces(monkeypatch):
+    monkeypatch.setattr(fields, "DENSE", 16)
     balls = Balls()
-    parts, fine = fields_near_surfaces(balls, 32, 16)
+    parts, fine = fields_near_surfaces(balls, 32)
     assert parts.tolist() == [0, 1]
     assert sum(balls.asked) < 0.5 * 32**3
     own, whole = meshes_of_greatest(fine)
@@ -61,9 +63,7 @@ def test_a_fine_grid_need_only_be_evaluated_near_surfaces():
 
 
 def test_a_part_that_is_not_where_it_is_looked_for_is_not_evaluated():
-    parts, grids = fields_near_surfaces(
-        Balls(), 16, looked_for=lambda: np.array([[1.0], [-9.0], [-3.0]])
-    )
+    parts, grids = fields_near_surfaces(Balls(), 16, lambda: np.array([[1.0], [-9.0], [-3.0]]))
     assert parts.tolist() == [0, 2]
     np.testing.assert_array_equal(grids, fields_on_grid(Balls(), 16)[[0, 2]])
 

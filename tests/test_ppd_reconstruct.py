@@ -9,6 +9,7 @@ from instances import hinged_box
 
 from articugen.core.geometry import apply
 from articugen.core.records import dequantize
+from articugen.learning import fields
 from articugen.learning.fields import fields_on_grid, meshes_of_greatest
 from articugen.learning.ppd import reconstruct as reconstruction
 from articugen.learning.ppd.learner import Predictor
@@ -208,12 +209,13 @@ def test_parts_with_boxes_are_looked_for_there(monkeypatch):
     assert len(union)
 
 
-def test_nothing_anywhere_has_no_surface_at_any_resolution():
+def test_nothing_anywhere_has_no_surface_at_any_resolution(monkeypatch):
+    monkeypatch.setattr(fields, "DENSE", 8)
     torch.manual_seed(0)
     model = PPD(ModelSettings()).eval()
     with torch.no_grad():
         model.shape.head_2.bias[8:] -= 100.0
-        found = reconstruction_of(model, model(torch.rand(1, 64, 3) - 0.5), 16, dense=8)
+        found = reconstruction_of(model, model(torch.rand(1, 64, 3) - 0.5), 16)
     assert not len(found.whole)
     assert not len(found.triangles)
     assert found.occupied.shape == (16, 16, 16)

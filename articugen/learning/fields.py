@@ -23,7 +23,6 @@ from articugen.learning.data.split import PackedSplit, unpacked, voxel_centres
 from articugen.meshes.marching_cubes import zero_level
 
 VALIDATION_GRID = 32
-VALIDATION_INSTANCES = 64
 
 DENSE = 64
 """Grids of less than twice that are evaluated everywhere."""
@@ -56,7 +55,6 @@ def reconstruction_of(
     *,
     meshes: Meshes | None = None,
     looked_for: Callable[[], Floats] | None = None,
-    dense: int = DENSE,
     whole: Callable[[int], Floats] | None = None,
     T_part: Floats | None = None,
     joints: PartJoints | None = None,
@@ -66,7 +64,7 @@ def reconstruction_of(
     Args:
         parts: how many fields there are.
         meshes: what makes the surfaces; `meshes_of_greatest` if not given.
-        looked_for, dense: see `fields_near_surfaces`.
+        looked_for: see `fields_near_surfaces`.
         whole: gives (R, R, R), above 0 inside of the object, if that is known better: fields then
             decide whose each place in there is, see `divided`, and their own surfaces label points.
             The parts' surfaces are drawn on a grid of `DENSE`^3 at least, since thin things fall
@@ -75,7 +73,7 @@ def reconstruction_of(
         T_part, joints: as `Reconstruction`; None of a method that knows none.
     """
     drawn, meshes = max(resolution, DENSE) if whole else resolution, meshes or meshes_of_greatest
-    there, grids = fields_near_surfaces(fields, drawn, dense, looked_for)
+    there, grids = fields_near_surfaces(fields, drawn, looked_for)
     surfaces, outline = meshes(grids)
     labelling = None
     if whole:
@@ -156,23 +154,20 @@ def divided(whole: Floats, grids: Floats, surfaces: Sequence[Floats]) -> Floats:
 
 
 def fields_near_surfaces(
-    fields: Fields,
-    resolution: int,
-    dense: int = DENSE,
-    looked_for: Callable[[], Floats] | None = None,
+    fields: Fields, resolution: int, looked_for: Callable[[], Floats] | None = None
 ) -> tuple[NDArray[np.int64], Floats]:
     """Return some parts (k,), and their fields (k, R, R, R) as `fields_on_grid` gives them.
 
-    Parts that are nowhere are left out. Grids of twice `dense` and finer are evaluated near
+    Parts that are nowhere are left out. Grids of twice `DENSE` and finer are evaluated near
     surfaces only, and of parts alone that are anywhere on the grid that is half as fine: what is
     far keeps its value there, which changes no surface that is seen there.
 
     Args:
         looked_for: gives (P, n), each part's field where it would be found if it were anywhere.
     """
-    if resolution < 2 * dense or resolution % 2:
+    if resolution < 2 * DENSE or resolution % 2:
         return _on_the_whole_grid(fields, resolution, looked_for)
-    parts, coarse = fields_near_surfaces(fields, resolution // 2, dense, looked_for)
+    parts, coarse = fields_near_surfaces(fields, resolution // 2, looked_for)
     there = _somewhere_above(0.0, coarse)
     parts, coarse = parts[there], coarse[there]
     beside = doubled(beside_surfaces(coarse)[None])
@@ -260,10 +255,9 @@ def held_out_fit(
         fields: from one cloud (1, n, 3) and points (1, m, 3) to (P, m).
         clouds: (I, n, 3) as they are stored, what the model sees of each instance.
     """
-    count = min(VALIDATION_INSTANCES, len(held_out))
     entropy, overlap, owners = [], [], []
     points = grid_centres(VALIDATION_GRID).to(clouds.device)[None]
-    for row in np.linspace(0, len(held_out) - 1, count).astype(int):
+    for row in held_out.evenly():
         occupied = held_out.grids[VALIDATION_GRID][row] > 0
         logit, owner = fields(unpacked(clouds[row : row + 1]), points).max(0)
         entropy.append(binary_cross_entropy_with_logits(logit, occupied.to(logit.dtype)))
@@ -322,10 +316,13 @@ class FieldLearner(NetworkLearner):
         return self.network.parts
 
     @torch.no_grad()
-    def fields_of(self, cloud: Floats) -> Fields:
-        """Return the fields of one cloud (n, 3)."""
+    def code_of(self, cloud: Floats) -> Tensor:
+        """Return the code (1, C) of one cloud (n, 3)."""
         few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
-        code = self.network.encode(few[None].to(self.device))
+        return self.network.encode(few[None].to(self.device))
+
+    def fields_of(self, code: Tensor) -> Fields:
+        """Return the fields of one cloud, by its code (1, C)."""
 
         @torch.no_grad()
         def fields(points: Tensor, parts: NDArray[np.int64] | slice = slice(None)) -> Floats:
@@ -337,4 +334,4 @@ class FieldLearner(NetworkLearner):
 
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
         """Return parts without motions or joints."""
-        return reconstruction_of(self.fields_of(cloud), self.parts, resolution)
+        return reconstruction_of(self.fields_of(self.code_of(cloud)), self.parts, resolution)

@@ -83,8 +83,7 @@ class BSPLearner(FieldLearner):
     @torch.no_grad()
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
         """Return each convex as the polytope that its planes leave of the unit frame's cube."""
-        few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
-        planes = self.network.encode(few[None].to(self.device))[0].T.double().cpu().numpy()
+        planes = self.code_of(cloud)[0].T.double().cpu().numpy()
         bounds = self.network.bounds().T.bool().cpu().numpy()
         return reconstruction_of_polytopes([cut(planes[some]) for some in bounds], resolution)
 

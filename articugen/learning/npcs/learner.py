@@ -25,9 +25,6 @@ MOMENTUM, LEAST_MOMENTUM = 0.5, 0.01
 COORDINATE = 10.0
 """The weight of the coordinates; that of the labels is 1."""
 
-VALIDATED = 64
-"""Instances of objects that are held out, at most."""
-
 Boxes = tuple[Tensor, Tensor]
 """Middles (I, K, 3) and diagonals (I, K, 1) of the boxes of parts at rest."""
 
@@ -73,10 +70,9 @@ class NPCSLearner(NetworkLearner):
     @torch.no_grad()
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return the weighted sum of both losses, and each."""
-        rows = np.linspace(0, len(held_out) - 1, min(VALIDATED, len(held_out))).astype(int)
         rng = torch.Generator(self.device).manual_seed(0)
         resolution = self.settings.schedule.stages[0].resolution
-        batch = held_out.batch(rows.tolist(), self.inputs, resolution, rng)
+        batch = held_out.batch(held_out.evenly().tolist(), self.inputs, resolution, rng)
         boxes = boxes_of(held_out, self.network.parts)
         self.network.eval()
         coordinate, label = map(float, errors(self.network(batch.cloud), batch, boxes))

@@ -44,8 +44,7 @@ class NSDLearner(FieldLearner):
     @torch.no_grad()
     def reconstruct(self, cloud: Floats, *, resolution: int) -> Reconstruction:
         """Return each star as a mesh, without what is inside others; the whole from a grid."""
-        few = torch.as_tensor(cloud[: self.inputs.surface_points], dtype=torch.float32)
-        code = self.network.encode(few[None].to(self.device))
+        code = self.code_of(cloud)
         at, faces = sphere()
         corners = self.network.surfaces(code, directions_of(at.to(code))[None]).flatten(1, 2)
         outer = visible(self.network, code, corners).view(self.parts, -1).cpu()
@@ -54,7 +53,7 @@ class NSDLearner(FieldLearner):
             mesh[faces[there.numpy()[faces].any(1)]]
             for mesh, there in zip(meshes, outer, strict=True)
         ]
-        inside = fields_on_grid(self.fields_of(cloud), resolution).max(0)
+        inside = fields_on_grid(self.fields_of(code), resolution).max(0)
         return reconstruction_of_surfaces(surfaces, inside)
 
 

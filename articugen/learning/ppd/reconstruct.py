@@ -39,14 +39,13 @@ def reconstruction_of(
     resolution: int,
     meshes: Meshes | None = None,
     *,
-    dense: int = fields.DENSE,
     whole: Callable[[int], Floats] | None = None,
     states: Tensor | None = None,
 ) -> Reconstruction:
     """Parts and joints of one predicted shape, its surfaces from a grid of `resolution`^3.
 
     Args:
-        meshes, dense, whole: as `fields.reconstruction_of`.
+        meshes, whole: as `fields.reconstruction_of`.
         states: (1, J) of the joints, if those are known better than predicted: motions are by
             them, surfaces as predicted.
     """
@@ -64,7 +63,6 @@ def reconstruction_of(
         resolution,
         meshes=meshes,
         looked_for=partial(_in_boxes, model, shape, shape.box) if shape.box else None,
-        dense=dense,
         whole=whole,
         T_part=invert_rigid(T_inverse),
         joints=PartJoints(
