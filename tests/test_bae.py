@@ -139,7 +139,7 @@ def test_the_voxel_encoder_is_a_pyramid_of_convolutions(normalised):
 def test_it_learns_and_is_judged_as_all_are(boxes, tmp_path):
     cpu = torch.device("cpu")
     learner = find_method("bae").start(TINY, seed=0, device=cpu)
-    training, held_out = Training(TINY, "box", boxes, tmp_path).split(learner, "cpu")
+    training, held_out = Training(TINY, "box", boxes, tmp_path).split(learner)
     rng = torch.Generator().manual_seed(0)
     labels = training.batch(range(len(training)), learner.inputs, 16, rng).occupied.float()
     run = train(Training(TINY, "box", boxes, tmp_path))

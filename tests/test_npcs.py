@@ -189,7 +189,7 @@ def test_both_losses_are_what_their_formulas_say(seed):
 
 def test_targets_are_the_same_in_every_pose_and_fill_each_part_s_box(boxes):
     learner = NPCSLearner(plan(), 0, CPU)
-    training, _ = Training(plan(), "box", boxes, boxes).split(learner, "cpu")
+    training, _ = Training(plan(), "box", boxes, boxes).split(learner)
     learner.begin(training, boxes)
     batch = training.batch(range(len(training)), learner.inputs, 0, torch.Generator())
     middle, diagonal = learner.boxes

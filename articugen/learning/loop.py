@@ -122,32 +122,31 @@ class Training:
         the instances that are held out."""
         if windows := self.windows:
             return windows.since(iteration, notify), windows.held_out()
-        training, held_out = self.split(learner, "cpu")
+        training, held_out = self.split(learner)
         return iter([training].pop, None), held_out  # which nobody but the taker holds on to
 
-    def split(self, learner: Learner, device: str) -> tuple[PackedSplit, PackedSplit]:
+    def split(self, learner: Learner) -> tuple[PackedSplit, PackedSplit]:
         """Return the training instances, and those of the objects that are held out."""
         assert not isinstance(self.data, Endless)
-        where, grids = torch.device(device), self._grids(learner)
+        grids = self._grids(learner)
         with given_back(SHARDS):
             everything = load_split(
                 self.data, "train", learner.inputs, grids, category=self.category
             )
             count = self.recipe.data.validation_objects
             kept, held_out = split_objects(everything.object_id, count)
-            return everything.of(kept).to(where), everything.of(held_out).to(where)
+            return everything.of(kept), everything.of(held_out)
 
     def new_run(self) -> RunFolder:
         """Return a new run's folder, which says what it is trained on."""
         first, *others = self._described()
-        return RunFolder.new(
-            self.runs,
-            self.recipe,
-            category=self.category,
-            seed=self.seed,
-            data=first | ({"also": others} if others else {}),
-            name=self.name,
-        )
+        data = first | ({"also": others} if others else {})
+        about = {
+            "category": self.category,
+            "seed": self.seed,
+            "recipe_sha256": self.recipe.sha256(),
+        }
+        return RunFolder.new(self.runs, self.name, self.recipe, **about, data=data)
 
     def resumed(self, path: Path) -> tuple[RunFolder, Checkpoint | None]:
         """Return a run's folder, and where it stands if it has a checkpoint yet.

@@ -37,8 +37,8 @@ from articugen.core.files import (
 from articugen.core.yaml_files import fault_in, resolved
 from articugen.learning.method import Learner, find_method, parse_recipe
 from articugen.learning.recipe import TrainRecipe
-from articugen.learning.sealed import CURE
-from articugen.learning.tensors import check_like, read_tensors, write_tensors
+from articugen.learning.sealed import CURE, write_arrays
+from articugen.learning.tensors import check_like, in_numpy, read_tensors
 from articugen.store.provenance import this_commit, this_machine
 
 FORMAT = "articugen checkpoint 5"
@@ -114,7 +114,7 @@ class Checkpoint:
 
     def write(self, path: Path) -> None:
         """Write it in one step."""
-        write_tensors(path, {**vars(self), "recipe": self.recipe.plain()}, FORMAT)
+        write_arrays(path, in_numpy({**vars(self), "recipe": self.recipe.plain()}), FORMAT)
 
     def learner(self) -> Learner:
         """Return the learner, on the CPU, ready for predictions or to go on."""
@@ -189,17 +189,12 @@ class RunFolder:
         return f"RunFolder({self.path})"
 
     @staticmethod
-    def new(
-        runs: Path,
-        recipe: TrainRecipe,
-        *,
-        category: str,
-        seed: int,
-        data: dict[str, Any],
-        name: str | None = None,
-    ) -> "RunFolder":
-        """Make a folder under `runs`, the next number or `name`; `data` says what it is trained
-        on."""
+    def new(runs: Path, name: str | None, recipe: TrainRecipe, **about: Any) -> "RunFolder":
+        """Make a folder under `runs`, the next number or `name`.
+
+        Args:
+            about: what run.json says of `category`, `seed`, `recipe_sha256` and `data`.
+        """
         taken = (int(p.name) for p in runs.glob("*") if p.name.isdecimal())
         path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
         make_folder(runs)
@@ -207,18 +202,10 @@ class RunFolder:
             path.mkdir()
         except OSError as error:
             if isinstance(error, FileExistsError) and not name:  # another run was faster
-                return RunFolder.new(runs, recipe, category=category, seed=seed, data=data)
+                return RunFolder.new(runs, name, recipe, **about)
             raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
-        about = {
-            "category": category,
-            "seed": seed,
-            "recipe_sha256": recipe.sha256(),
-            "data": data,
-            "articugen": VERSION,
-            "commit": this_commit(),
-            "torch": torch.__version__,
-            "machine": this_machine(),
-        }
+        about |= {"articugen": VERSION, "commit": this_commit()}
+        about |= {"torch": torch.__version__, "machine": this_machine()}
         write_atomically(path / "recipe.yaml", recipe.text().encode())
         write_atomically(path / "run.json", (json.dumps(about, indent=1) + "\n").encode())
         return RunFolder(path)

@@ -12,12 +12,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from articugen.core.errors import InvalidCheckpoint
-from articugen.learning.sealed import read_arrays, write_arrays
-
-
-def write_tensors(path: Path, data: dict[str, Any], form: str) -> None:
-    """Write nested dicts of tensors and plain data as `write_arrays` does."""
-    write_arrays(path, in_numpy(data), form)
+from articugen.learning.sealed import read_arrays
 
 
 def read_tensors(path: Path, wanted: str) -> dict[str, Any]:
