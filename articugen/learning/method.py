@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -43,6 +44,8 @@ METHODS = {
 """Ours by name; those of other packages are found by their entry points."""
 
 DEFAULT = "ppd"
+
+_learner_recipe = partial(find, learner=True)
 
 _TABLE = Table(
     "articugen.methods", METHODS, ("name", "recipe", "Settings", "start"), "method", InvalidRecipe
@@ -225,10 +228,6 @@ def load_recipe(
             f"{where}: is of method {recipe.method}, not {method}; name a recipe of that"
         )
     return recipe
-
-
-def _learner_recipe(name: str) -> Path:
-    return find(name, learner=True)
 
 
 def parse_recipe(data: dict[str, Any], where: str) -> TrainRecipe:
