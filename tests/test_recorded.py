@@ -316,18 +316,19 @@ def test_the_truth_scores_as_such(recorded):
         )  # fmt: skip
         return labelled_points(one.points, 2 * one.part, 3, joints=joints)
 
-    right = measured(posed, [predicted(one) for one in posed])
-    assert right.labels.tolist() == [0, -1, 1]
-    assert right.numbers == pytest.approx(
+    labels, _, right = measured(posed, [predicted(one) for one in posed])
+    assert labels.tolist() == [0, -1, 1]
+    assert right == pytest.approx(
         {"label_iou": 1.0, "direction_degrees": 0.0, "pivot": 0.0, "state_degrees": 0.0}, abs=1e-9
     )
-    off = measured(posed, [predicted(p, state=0.1, tilt=np.radians(3), shift=0.05) for p in posed])
+    some = [predicted(p, state=0.1, tilt=np.radians(3), shift=0.05) for p in posed]
+    off = measured(posed, some)[2]
     turned = np.degrees([one.state for one in posed])
-    assert off.numbers["direction_degrees"] == pytest.approx(3.0)
-    assert off.numbers["state_degrees"] == pytest.approx(0.1 * np.mean(turned - turned.min()))
-    still = measured(posed, [labelled_points(p.points, 0 * p.part, 3) for p in posed])
-    assert still.numbers["label_iou"] < 0.5
-    assert np.isnan(still.numbers["state_degrees"])
+    assert off["direction_degrees"] == pytest.approx(3.0)
+    assert off["state_degrees"] == pytest.approx(0.1 * np.mean(turned - turned.min()))
+    still = measured(posed, [labelled_points(p.points, 0 * p.part, 3) for p in posed])[2]
+    assert still["label_iou"] < 0.5
+    assert np.isnan(still["state_degrees"])
 
 
 RBO_MODEL = "../../../objects/laptop/*-10-20/*"

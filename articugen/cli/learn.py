@@ -260,10 +260,10 @@ def watch(
     """Reconstruct a laptop that a depth camera has recorded, and compare with its true poses."""
     from articugen.learning.recorded import watch as watch_recorded
 
-    outcome = watch_recorded(run, folder, images=images, out=out)
-    for name, value in outcome.numbers.items():
+    numbers = watch_recorded(run, folder, images=images, out=out)
+    for name, value in numbers.items():
         say(f"{name}: {value:.3g}")
-    say(f"written: {outcome.figure}")
+    say(f"written: {out / 'figure.png'}")
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from articugen.core.seeding import generator
 from articugen.evaluation.figures import Names, solid_of
 from articugen.evaluation.reconstruction import Reconstruction, labelled_points
 from articugen.evaluation.recorded import read_recording
-from articugen.evaluation.recorded.frames import Measured, Posed, into_unit_frame, measured
+from articugen.evaluation.recorded.frames import Posed, into_unit_frame, measured
 from articugen.learning.commands import FolderLike, newest
 from articugen.learning.run_folder import LATEST, read_checkpoint
 from articugen.pictures.layout import Row, save, sheet
@@ -25,23 +24,10 @@ _AZIMUTH = np.radians(215.0)  # from the user's side, to the left
 _POINTS, _SHOWN = 1024, 4096  # as many as a data set's partial clouds have; as are drawn
 
 
-@dataclass(frozen=True)
-class Watched:
-    """Outcome of `watch`.
-
-    Attributes:
-        numbers: of `frames.Measured`, and `images`, how many there were.
-        figure: the path of the picture.
-    """
-
-    numbers: dict[str, float]
-    figure: Path
-
-
 def watch(
     run: FolderLike, folder: FolderLike, *, images: int = 8, out: FolderLike = "recorded",
     resolution: int = 64,
-) -> Watched:  # fmt: skip
+) -> dict[str, float]:  # fmt: skip
     """Reconstruct a laptop from the depth images of a recorded sequence, and measure the outcome.
 
     Args:
@@ -51,6 +37,9 @@ def watch(
         out: the folder for `figure.png` (above what the camera sees by true parts, below what is
             reconstructed of it) and `numbers.json`.
         resolution: of the meshes' grid.
+
+    Returns:
+        The numbers: those of `measured`, and `images`, how many there were.
 
     Raises:
         InvalidCheckpoint: the run cannot be read, or did not learn from depth, or not of laptops.
@@ -68,16 +57,17 @@ def watch(
     rng = generator(0, "recorded")
     clouds = [np.resize(rng.permutation(p.points), (_POINTS, 3)) for p in posed]
     shapes = [learner.reconstruct(cloud, resolution=resolution) for cloud in clouds]
-    outcome = measured(posed, shapes)
-    numbers = {"images": len(posed), **outcome.numbers}
+    labels, dominant, numbers = measured(posed, shapes)
+    numbers = {"images": len(posed), **numbers}
     make_folder(Path(out))
     plain = {k: None if np.isnan(x) else x for k, x in numbers.items()}  # JSON has none
     write_atomically(Path(out) / "numbers.json", (json.dumps(plain, indent=1) + "\n").encode())
-    save(_drawn(posed, shapes, outcome), Path(out) / "figure.png")
-    return Watched(numbers, Path(out) / "figure.png")
+    names = Names(labels.tolist(), dominant.tolist())
+    save(_drawn(posed, shapes, names), Path(out) / "figure.png")
+    return numbers
 
 
-def _drawn(posed: Sequence[Posed], results: Sequence[Reconstruction], outcome: Measured) -> Picture:
+def _drawn(posed: Sequence[Posed], results: Sequence[Reconstruction], whose: Names) -> Picture:
     """Draw a column for each image, the object as it stands in the unit frame."""
     camera = tile_camera(np.concatenate([p.points for p in posed]), _AZIMUTH)
     floor = min(float(p.points[:, 2].min()) for p in posed)
@@ -87,7 +77,7 @@ def _drawn(posed: Sequence[Posed], results: Sequence[Reconstruction], outcome: M
     rows = []
     for title, shapes, names in (
         ("what the camera sees, by true part", clouds, Names([0, 1], [0, 1])),
-        ("reconstruction", results, Names(outcome.labels.tolist(), outcome.dominant.tolist())),
+        ("reconstruction", results, whose),
     ):
         pictures = [solid_portrait(solid_of(shape, names), camera, floor) for shape in shapes]
         rows.append(Row(title, pictures, captions))

@@ -224,25 +224,18 @@ def _hinge(name: str, T_base_lid: Floats) -> tuple[Floats, Floats]:
     return axis, np.linalg.lstsq(np.eye(3) - T[:3, :3], T[:3, 3], rcond=1e-6)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """Errors of predictions over all images.
+def measured(
+    posed: Sequence[Posed], shapes: Sequence[Reconstruction]
+) -> tuple[Ints, Ints, dict[str, float]]:
+    """Compare what a model makes of each image with the truth.
 
-    Attributes:
-        labels, dominant: (P,) of each predicted part, by its votes over all images; by most votes.
-        numbers: `label_iou` of the points that the camera sees, a mean over images; of the part
-            with most votes for the lid `direction_degrees`, `pivot` (unit frame) and
-            `state_degrees`, a change since the image in which the laptop is least open; nan where
-            there is no such part, or no joints.
+    Returns:
+        The labels (P,) of the predicted parts, by their votes over all images; those by most votes;
+        and means over images: `label_iou` of the points that the camera sees, and of the part with
+        most votes for the lid `direction_degrees`, `pivot` (unit frame) and `state_degrees`, a
+        change since the image in which the laptop is least open; nan where there is no such part,
+        or no joints.
     """
-
-    labels: Ints
-    dominant: Ints
-    numbers: dict[str, float]
-
-
-def measured(posed: Sequence[Posed], shapes: Sequence[Reconstruction]) -> Measured:
-    """Compare what a model makes of each image with the truth."""
     pairs = list(zip(posed, shapes, strict=True))
     nearest = [metrics.nearest_part_of(f, p.points) for p, f in pairs]
     votes = np.zeros((shapes[0].parts, 2))
@@ -263,4 +256,4 @@ def measured(posed: Sequence[Posed], shapes: Sequence[Reconstruction]) -> Measur
     means = np.mean(errors, axis=0).tolist() if errors else [float("nan")] * 3
     names = ("direction_degrees", "pivot", "state_degrees")
     numbers = {"label_iou": float(np.mean(ious)), **dict(zip(names, means, strict=True))}
-    return Measured(labels, dominant, numbers)
+    return labels, dominant, numbers
