@@ -21,7 +21,7 @@ from articugen.learning.blocks import Descent
 from articugen.learning.data.batch import Batch, BatchSpec
 from articugen.learning.data.split import PackedSplit, unpacked
 from articugen.learning.method import Terms
-from articugen.learning.ppd.learner import PPDLearner, Predictor, validation
+from articugen.learning.ppd.learner import PPDLearner, Predictor
 from articugen.learning.ppd.network import encoder_of
 from articugen.learning.ppd.settings import DepthRecipe
 from articugen.learning.ppd.warm.found import FOLDER
@@ -101,8 +101,8 @@ class DepthLearner(Predictor):
         """`latent`, the loss, over all cameras; `rec` and `iou` from what the first one sees."""
         wanted = latents(self.teacher, held_out.surface[:, : self.inputs.surface_points])
         losses = [mse_loss(self.student(unpacked(c)), wanted) for c in held_out.partial.unbind(1)]
-        rest = validation(self.model, held_out.partial[:, 0], held_out, self.residual_direction)
-        return {"latent": float(torch.stack(losses).mean()), **rest}
+        latent = float(torch.stack(losses).mean())
+        return {"latent": latent, **self.fit(held_out.partial[:, 0], held_out)}
 
     def state(self) -> dict[str, Any]:
         return {

@@ -102,6 +102,17 @@ class Predictor(Learner):
         drawn = partial(reconstruction_of, self.model, resolution=resolution)
         return list(map(drawn, shapes)), list(map(drawn, states))
 
+    def fit(self, clouds: Tensor, held_out: PackedSplit) -> dict[str, float]:
+        """Return `rec` and `iou` of `held_out_fit`, from clouds (I, n, 3) as they are stored."""
+
+        def fields(cloud: Tensor, points: Tensor) -> Tensor:
+            predicted = self.model(cloud, residual_direction=self.residual_direction)
+            motion = self.model.motion(predicted.pose)
+            return self.model.fields(predicted.shape, motion, points).product[0]
+
+        fit = held_out_fit(fields, clouds, held_out)
+        return {"rec": fit["rec"], "iou": fit["iou"]}
+
 
 class PPDLearner(Predictor):
     """The first two stages.
@@ -246,7 +257,7 @@ class PPDLearner(Predictor):
         """Return how well held-out objects are reconstructed, and how well their motions are
         known."""
         clouds = held_out.surface[:, : self.points]
-        measures = validation(self.model, clouds, held_out, self.residual_direction)
+        measures = self.fit(clouds, held_out)
         measures |= motion_misfit(self.model, clouds, held_out, self.residual_direction)
         by = self.settings.seeds.chosen_by
         return {by: measures[by], **measures} if by in measures else measures
@@ -267,21 +278,6 @@ class PPDLearner(Predictor):
         self.descent.optimiser.load(state["adam"])
         for beside in self._beside():
             beside.load(state)
-
-
-def validation(
-    model: PPD, clouds: Tensor, held_out: PackedSplit, residual_direction: bool
-) -> dict[str, float]:
-    """Return `rec` and `iou` of `held_out_fit`, from clouds (I, n, 3) as they are stored."""
-
-    def fields(cloud: Tensor, points: Tensor) -> Tensor:
-        predicted = model(cloud, residual_direction=residual_direction)
-        return model.fields(predicted.shape, model.motion(predicted.pose), points).product[0]
-
-    model.eval()
-    fit = held_out_fit(fields, clouds, held_out)
-    model.train()
-    return {"rec": fit["rec"], "iou": fit["iou"]}
 
 
 @torch.no_grad()

@@ -1,7 +1,7 @@
 """The shape decoders; with the PointNet 214,928 parameters, the paper's 2.149 x 10^5."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -11,6 +11,7 @@ from articugen.learning.cpu.batches import one_by_one, takes_kernels
 from articugen.learning.ppd.cpu.fused import sine_parts
 from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.settings import ModelSettings
+from articugen.learning.tensors import changed
 
 POSE, SHAPE, TEMPLATE, COMMON = 128, 256, 64, 64
 """The latent is z^p, z^s, the template's and z^{p,c}, in this order."""
@@ -67,9 +68,8 @@ class ShapeCode:
 
     def of(self, parts: Tensor) -> "ShapeCode":
         """Return the code of some parts."""
-        box = self.box and PartBox(self.box.middle[:, parts], self.box.size[:, parts])
-        template, detail = self.template[:, parts], self.detail[:, parts]
-        return ShapeCode(template, detail, self.quantizer, box)
+        some = changed(self, Tensor, lambda of_all: of_all[:, parts])
+        return replace(some, quantizer=self.quantizer)
 
     def towards(self, other: "ShapeCode", share: float) -> "ShapeCode":
         """Return the code of a shape between this one (0) and another (1)."""

@@ -23,6 +23,7 @@ from articugen.core.records import Floats, JointKind
 from articugen.discovery import LEAN, FoundJoint, Joints, Ownership
 from articugen.discovery.ownership import CELLS
 from articugen.learning.data.split import PackedSplit, unpacked
+from articugen.learning.ppd.kinematics import InverseMotion
 from articugen.learning.ppd.network import rest_states, widest
 from articugen.learning.ppd.settings import ModelSettings, directions_of
 from articugen.learning.ppd.warm.found import FEW_OBJECTS, Found, kinds_of
@@ -98,7 +99,7 @@ class Targets:
         Args:
             points: (B, n, 3) in the instances that these targets are of.
         """
-        rest = torch.einsum("bpij,bnj->bpni", self.rotation, points) + self.offset[:, :, None]
+        rest = InverseMotion(self.rotation, self.offset).apply(points)
         cell = self.grid[..., None] * CELLS**3 + _cells(rest)
         far = self.far.flatten()[cell].masked_fill(self.owns[..., None] == 0, torch.inf)
         return torch.where(occupied, far.argmin(1), -1)
