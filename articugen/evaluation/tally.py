@@ -29,6 +29,9 @@ DEGREES = (5.0, 10.0, 15.0, 20.0, 30.0)
 LENGTHS = (0.025, 0.05, 0.1, 0.2)
 """Within how much a joint counts as right (Appendix E)."""
 
+NEAR = 0.01
+"""The threshold of the F-score, in the unit frame; the paper names none."""
+
 
 @dataclass(frozen=True)
 class Protocol:
@@ -39,7 +42,6 @@ class Protocol:
         label_poses: `canonical`, those of training objects vote; `all`, there is another label IoU
             by the votes of `states` as well.
         states: at most that many random states of an object count; None means all.
-        f_threshold: of the F-score, in the unit frame; the paper names none.
         surface_samples: points on the predicted surface for F-score and Chamfer-L1.
         occupancy: what the reconstruction IoU compares with: what is `visible`, or `material`.
     """
@@ -47,7 +49,6 @@ class Protocol:
     points: int = 1000
     label_poses: str = "canonical"
     states: int | None = None
-    f_threshold: float = 0.01
     surface_samples: int = 8192
     occupancy: str = "visible"
 
@@ -142,7 +143,7 @@ class Tally:
             rng = generator(0, "evaluate", instance.object_id, instance.state_index)
             drawn = points_on_triangles(outer, self.protocol.surface_samples, rng=rng)[0]
             to_true = distance(drawn, np.repeat(surface[:, None], 3, axis=1))
-        f_score = metrics.f_score(to_true, to_predicted, self.protocol.f_threshold)
+        f_score = metrics.f_score(to_true, to_predicted, NEAR)
         self.add(**{
             f"{prefix}chamfer_l1": metrics.chamfer_l1(to_true, to_predicted),
             f"{prefix}f_score": 100.0 * f_score,
