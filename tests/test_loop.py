@@ -160,14 +160,6 @@ def test_a_run_leaves_what_one_needs_to_trust_it(whole):
     assert last.learner().state().keys() == last.state.keys()
 
 
-def test_runs_are_numbered_and_told_of(boxes, tmp_path):
-    seen = []
-    for _ in range(2):
-        run = start(boxes, tmp_path, stop_after=1, on_progress=lambda p: seen.append(p.iteration))
-    assert run.path.name == "001"
-    assert seen == [1, 1]
-
-
 def test_a_schedule_without_iterations_leaves_a_checkpoint(boxes, tmp_path):
     stage = TINY.schedule.stages[0].model_copy(update={"iterations": 0})
     none = TINY.schedule.model_copy(update={"stages": (stage,)})
