@@ -21,7 +21,7 @@ ARM = (0.06, 0.06, 0.4), (0.0, 0.08, 0.3), turn((0, 1, 0), (0, 0, 0.12))
 FOREARM = (0.4, 0.06, 0.06), (0.2, 0.16, 0.47), turn((0, 1, 0), (0, 0, 0.47))
 HAND = (0.06, 0.06, 0.3), (0.37, 0.24, 0.4), turn((1, 0, 0), (0, 0.16, 0.47))
 
-COUNT = 800  # points of a box
+COUNT = 500  # points of a box
 DRAWN = np.random.default_rng(1).uniform(-1.0, 1.0, (9, 3)) * (0.7, 0.8, 0.9)
 STATES = np.concatenate([np.zeros((1, 3)), DRAWN])
 
