@@ -18,7 +18,6 @@ from articugen.fusion.field import fuse as fuse
 from articugen.fusion.field import pixel_width as pixel_width
 from articugen.fusion.parts import SolidPart as SolidPart
 from articugen.fusion.parts import seen_alone as seen_alone
-from articugen.fusion.parts import seen_by as seen_by
 from articugen.fusion.parts import solid_part as solid_part
 from articugen.fusion.reachable import touched as touched
 from articugen.fusion.solidify import closed_piece as closed_piece

@@ -87,27 +87,18 @@ def solid_part(soup: LabelledMesh, settings: Fusion, render: Render) -> SolidPar
     return SolidPart(mesh, is_seen, closed, origin, tree, _box(mesh), pieces, None, slit)
 
 
-def seen_alone(part: SolidPart, settings: Fusion, render: Render) -> OwnSolid:
-    """Return the own solid of `part` by maps of it alone, rendered if it was not judged by such."""
-    field = part.judged_by or _fused(render(part.mesh, part.box), part, settings)
-    return _own(part, field, field)
-
-
-def seen_by(maps: DepthMaps, part: SolidPart, settings: Fusion) -> OwnSolid:
-    """Return the own solid of `part` by `maps` of it alone."""
-    field = _fused(maps, part, settings)
-    return _own(part, field, part.judged_by or field)
-
-
-def _fused(maps: DepthMaps, part: SolidPart, settings: Fusion) -> FusedField:
-    return fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
-
-
-def _own(part: SolidPart, field: FusedField, judged: FusedField) -> OwnSolid:
-    """Return the own solid of `part` by a field of it alone, flooded as `judged` is."""
+def seen_alone(
+    part: SolidPart, settings: Fusion, render: Render, maps: DepthMaps | None = None
+) -> OwnSolid:
+    """Return the own solid of `part` by `maps` of it alone; without any by those that it was judged
+    by, or else by rendered ones."""
+    field = part.judged_by if maps is None else None
+    if field is None:
+        maps = render(part.mesh, part.box) if maps is None else maps
+        field = fuse(maps, part.mesh, settings, bvh=part.tree, part_motion=np.eye(4)[None])
     thin = thin_voxels(part.mesh, pixel_width(field.maps.views), field.bvh)
-    alone = replace(field, thin=thin, flood=flooded(judged, part.mesh).flood)
-    return own_solid(alone, part.box, part.pieces)
+    flood = flooded(part.judged_by or field, part.mesh).flood
+    return own_solid(replace(field, thin=thin, flood=flood), part.box, part.pieces)
 
 
 def _slit(

@@ -214,7 +214,7 @@ def _prepared(
     views = fusion_views(recipe.views, swept_box(mesh, motions))
     backend = backend_named(recipe.views.backend)
     static = backend.render(parts[0].mesh, views)
-    fixed = fusion.seen_by(static, parts[0], recipe.fusion)
+    fixed = own_solid(parts[0], recipe, static)
     solids = (fixed, *(own_solid(part, recipe) for part in parts[1:]))
     bvh = joined_trees([part.tree for part in parts])
     paint = Paint.of(obj, soup, parts) if recipe.shows_colours else None
@@ -372,9 +372,11 @@ def solid_part(soup: LabelledMesh, recipe: Recipe) -> fusion.SolidPart:
     return fusion.solid_part(soup, recipe.fusion, partial(_render_alone, recipe))
 
 
-def own_solid(part: fusion.SolidPart, recipe: Recipe) -> fusion.OwnSolid:
-    """Return the solid of a part alone, by the recipe's views of it."""
-    return fusion.seen_alone(part, recipe.fusion, partial(_render_alone, recipe))
+def own_solid(
+    part: fusion.SolidPart, recipe: Recipe, maps: DepthMaps | None = None
+) -> fusion.OwnSolid:
+    """Return the solid of a part alone, by `maps` of it, or by the recipe's views of it."""
+    return fusion.seen_alone(part, recipe.fusion, partial(_render_alone, recipe), maps)
 
 
 def _render_alone(recipe: Recipe, mesh: LabelledMesh, box: Floats) -> DepthMaps:
