@@ -154,7 +154,7 @@ def _query_fields(
 ) -> dict[str, NDArray]:
     """Query points are rounded to what is stored first, so that their labels are exact."""
     wanted = p.recipe.sampling
-    uniform = sampling.uniform_points(wanted.uniform_points, rng=p.rng(state_index, "uniform"))
+    uniform = p.rng(state_index, "uniform").random((wanted.uniform_points, 3)) - 0.5
     rng, around = p.rng(state_index, "near"), surface.points
     if sharp is not None and wanted.near_sharp:  # around the surface, and then around sharp edges
         edges = round(wanted.near_sharp * wanted.near_points)

@@ -67,11 +67,6 @@ def solid_counts(
     return counts, split**3
 
 
-def uniform_points(count: int, *, rng: np.random.Generator) -> Floats:
-    """Return (count, 3) uniform in the cube [-0.5, 0.5]^3."""
-    return rng.random((count, 3)) - 0.5
-
-
 def near_points(
     surface: Floats, count: int, sigma: float | tuple[float, ...], *, rng: np.random.Generator
 ) -> Floats:
