@@ -90,7 +90,7 @@ def _built(rng: np.random.Generator, layout: Layout, *, varied: bool) -> Model:
     carcass = Carcass(outer, -depth / 2, depth / 2, board, 0.0115 * extent)
     overhang = GAP + style.thickness if style.mount != "inset" else 0.0
 
-    cells, boards = divided(layout.cells, carcass)
+    cells, boards = divided(layout.cells, outer.shrunk(board), outer, carcass)
     if varied:  # pulls are no higher than half of the lowest front
         lowest = min(cell.opening.height for cell in cells if cell.kind == "drawer")
         style = replace(style, girth=min(style.girth, 0.2 * lowest))

@@ -41,15 +41,11 @@ class Carcass:
     back: float
 
 
-def divided(cells: Split, carcass: Carcass) -> tuple[list[Cell], list[Solid]]:
-    """Build the compartments of a carcass, top left first, and the boards between them."""
-    inside = carcass.outer.shrunk(carcass.board)
-    return _divided(cells, inside, carcass.outer, carcass)
-
-
-def _divided(
+def divided(
     node: "Split | Kind", opening: Rect, front: Rect, carcass: Carcass
 ) -> tuple[list[Cell], list[Solid]]:
+    """Build the compartments of an opening, whose `front` is as that of a `Cell`, top left first,
+    and the boards between them."""
     if isinstance(node, str):
         return [Cell(node, opening, front, carcass.board)], []
     rows, board = node.way == "rows", carcass.board
@@ -63,7 +59,7 @@ def _divided(
         last = k == len(sizes) - 1
         far = (front.z0 if rows else front.y1) if last else end + step * board / 2
         piece, covered = _between(opening, rows, at, end), _between(front, rows, near, far)
-        more_cells, more_boards = _divided(child, piece, covered, carcass)
+        more_cells, more_boards = divided(child, piece, covered, carcass)
         cells, boards = cells + more_cells, boards + more_boards
         at, near = end + step * board, far
         if not last:
