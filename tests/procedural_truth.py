@@ -27,7 +27,7 @@ def object_id(category: str, index: int) -> str:
     return f"{category}_{index:04d}"
 
 
-model_of = lru_cache(8)(build_model)
+model_of = lru_cache(96)(build_model)  # all laptops
 
 
 def written(

@@ -15,16 +15,11 @@ from articugen.core.records import ArticulatedObject
 from articugen.procedural import build_model, drawer, oven, washing_machine
 from articugen.procedural.kit.model import Model, ModelJoint
 from articugen.procedural.truth import Truth
-from tests.procedural_truth import link_frames, random_state, written
+from tests.procedural_truth import link_frames, model_of, random_state, written
 
 CATEGORIES = ("oven", "washing_machine", "drawer")
 GENERATORS = (oven, washing_machine, drawer)
 CASES = [(category, f"{category}_{k:04d}") for category in CATEGORIES for k in range(4)]
-
-
-@cache
-def model_of(category: str, name: str) -> Model:
-    return build_model(category, name)
 
 
 @cache

@@ -1,22 +1,14 @@
 """Eyeglasses: two temples that fold inwards, one above the other."""
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from articugen.core.geometry import apply
-from articugen.procedural import build_model
-from articugen.procedural.kit.model import Model
-from tests.procedural_truth import link_frames, object_id, written
+from tests.procedural_truth import link_frames, model_of, object_id, written
 
 IDS = [object_id("eyeglasses", k) for k in range(42)]
-
-
-@cache
-def model_of(name: str) -> Model:
-    return build_model("eyeglasses", name)
 
 
 @pytest.mark.parametrize("varied", [False, True])
@@ -24,7 +16,7 @@ def test_the_left_temple_turns_in_a_plane_above_the_right_ones(*, varied: bool) 
     """No state has to be tried: along the common normal the two never share a height."""
     leans = []
     for name in IDS[::2]:
-        model = build_model("eyeglasses", name, varied=varied)
+        model = model_of("eyeglasses", name, varied=varied)
         left, right = model.joints
         normal = np.asarray(left.axis)
         np.testing.assert_allclose(normal, -np.asarray(right.axis), atol=1e-15)
@@ -56,7 +48,7 @@ def test_the_temples_fold_inwards_about_z(tmp_path: Path) -> None:
 
 
 def test_eyeglasses_are_symmetric_when_open() -> None:
-    model = model_of(IDS[3])
+    model = model_of("eyeglasses", IDS[3])
     left, right = (  # The hinge's knuckles come last; they lean.
         np.concatenate([s.vertices for s in model.links[k].solids[:-2]]) * (1, sign, 1)
         for k, sign in ((1, -1), (2, 1))
@@ -67,7 +59,7 @@ def test_eyeglasses_are_symmetric_when_open() -> None:
 def test_eyeglasses_are_thick_enough_and_small_enough() -> None:
     """No solid is thinner than 0.002 of the unit frame, in which the object is 0.9 long."""
     for name in IDS[:6]:
-        model = model_of(name)
+        model = model_of("eyeglasses", name)
         unit = 0.9 / np.ptp(model.bounds, axis=0).max()
         solids = [s for link in model.links for s in link.solids]
         assert 1_000 < sum(len(s.faces) for s in solids) < 6_000
@@ -78,7 +70,7 @@ def test_eyeglasses_are_thick_enough_and_small_enough() -> None:
 
 
 def test_eyeglasses_differ() -> None:
-    models = [model_of(name) for name in IDS]
+    models = [model_of("eyeglasses", name) for name in IDS]
     sizes = np.array([np.ptp(model.bounds, axis=0) for model in models])
     assert len(np.unique(sizes.round(6), axis=0)) == len(IDS)
     height = sizes[:, 2] / sizes[:, 1]

@@ -1,6 +1,5 @@
 """Laptops: one hinge that opens, and no two alike; as thin as real ones."""
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,21 +7,14 @@ import pytest
 
 from articugen.core.geometry import apply
 from articugen.core.seeding import generator
-from articugen.procedural import build_model
-from articugen.procedural.kit.model import Model
 from articugen.procedural.laptop.shape import KINDS, draw_shape
-from tests.procedural_truth import link_frames, object_id, truth_of, written
+from tests.procedural_truth import link_frames, model_of, object_id, truth_of, written
 
 IDS = [object_id("laptop", k) for k in range(86)]
 
 SHAPES = {name: draw_shape(generator(0, name, "procedural")) for name in IDS}
 EACH_KIND_OF_HINGE = sorted({(s.drops, s.hinge): name for name, s in SHAPES.items()}.values())
 OF_ALL_KINDS = sorted({*{s.kind: n for n, s in SHAPES.items()}.values(), *EACH_KIND_OF_HINGE})
-
-
-@cache
-def model_of(name: str) -> Model:
-    return build_model("laptop", name)
 
 
 def test_the_lid_opens_about_y_from_closed_to_135_degrees(tmp_path: Path) -> None:
@@ -49,7 +41,7 @@ def test_the_lid_opens_about_y_from_closed_to_135_degrees(tmp_path: Path) -> Non
 
 def test_laptops_are_of_a_sensible_size() -> None:
     for name in IDS[:3]:
-        model = model_of(name)
+        model = model_of("laptop", name)
         triangles = sum(len(s.faces) for link in model.links for s in link.solids)
         depth, width, height = np.ptp(model.bounds, axis=0)
         assert 2_000 < triangles < 15_000
@@ -81,14 +73,14 @@ def test_laptops_are_as_thin_as_real_ones() -> None:
 
 
 def _base_size(name: str) -> np.ndarray:
-    base = model_of(name).links[0]
+    base = model_of("laptop", name).links[0]
     return np.ptp(np.concatenate([s.vertices for s in base.solids]), axis=0)
 
 
 @pytest.mark.parametrize("name", EACH_KIND_OF_HINGE)
 def test_nothing_of_a_closed_laptops_hinge_stands_behind_it(name: str) -> None:
     """Behind the axis a barrel has its body beside it, or the lid above it."""
-    shape, model = SHAPES[name], model_of(name)
+    shape, model = SHAPES[name], model_of("laptop", name)
     axis = np.asarray(model.joints[0].origin)[0]
     base, lid = (
         np.concatenate([s.vertices for s in link.solids]) - (axis, 0, 0) for link in model.links
@@ -105,7 +97,7 @@ def test_what_lies_on_a_laptop_is_drawn_where_it_is_seen() -> None:
     """In messy models too: a screen's rectangle is its face, with free space in front of it."""
     faces = 0
     for name in IDS[:10]:
-        solids = [s for link in model_of(name).links for s in link.solids]
+        solids = [s for link in model_of("laptop", name).links for s in link.solids]
         truth = truth_of(*solids)
         frames = dict.fromkeys(truth.links, np.eye(4))
         for sheet in (s.sheet for s in solids if s.sheet is not None):

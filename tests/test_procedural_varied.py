@@ -1,6 +1,5 @@
 """Bundled objects as various as those of others: tables, towers, top loaders, upright hinges."""
 
-from functools import cache
 from itertools import islice, product
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from articugen.core.errors import InvalidSource
 from articugen.core.recipe import load_recipe
 from articugen.core.seeding import generator
 from articugen.procedural import build_model, drawer
-from articugen.procedural.kit.model import Model
 from articugen.sources import readers
 from articugen.sources.source import open_source
 from tests.procedural_truth import (
@@ -29,14 +27,9 @@ DRAWERS = [object_id("drawer", k) for k in range(60)]
 SOURCE = "procedural_varied"
 
 
-@cache
-def cabinet(name: str) -> Model:
-    return build_model("drawer", name, varied=True)
-
-
 def drawers_of(name: str) -> list[str]:
     """The parts of a cabinet that move."""
-    return [joint.child for joint in cabinet(name).joints]
+    return [joint.child for joint in model_of("drawer", name, varied=True).joints]
 
 
 def with_few(count: int) -> list[str]:
@@ -50,7 +43,7 @@ def test_cabinets_have_one_to_four_drawers() -> None:
     assert max(counts) == 4, "as many as PPD has sliding parts"
     strokes = []
     for name in DRAWERS:
-        model = cabinet(name)
+        model = model_of("drawer", name, varied=True)
         links = {link.name: link for link in model.links}
         for joint in model.joints:
             points = np.concatenate([s.vertices for s in links[joint.child].solids])
