@@ -21,7 +21,7 @@ from articugen.discovery.clouds import surfaces_of
 from articugen.discovery.frames import frame_of_faces
 from articugen.discovery.groups import Groups, agreement, group_instances
 from articugen.discovery.shared import Category, SharedJoint, discover_shared
-from articugen.meshes.points import numbers_of_file
+from articugen.meshes.points import shape_of_file
 from articugen.store.dataset import DataSet
 from articugen.store.dataset import open as open_data_set
 from articugen.store.rows import Row
@@ -303,7 +303,7 @@ def _kinds(joints: Sequence[str]) -> tuple[JointKind, ...]:
 def _cloud(pose: Pose) -> Floats:
     name = "a grid"
     if isinstance(pose, str | os.PathLike):
-        name, pose = str(pose), numbers_of_file(Path(pose))
+        name, pose = str(pose), shape_of_file(Path(pose))[0]
     array = np.asarray(pose)
     if array.dtype.kind not in "biuf":
         raise InvalidArgument(

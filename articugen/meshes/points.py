@@ -59,7 +59,7 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     Raises:
         InvalidSource: it cannot be read, or is no cloud to make sense of.
     """
-    stored, triangles = _shape_of_file(path)
+    stored, triangles = shape_of_file(path)
     name = str(path)
     points = finite(stored, name)
     frame = UNIT
@@ -79,13 +79,9 @@ def cloud_of_file(path: Path, *, fit: bool = False) -> Cloud:
     return Cloud(points, frame, hint, None if triangles is None else frame.to_unit(triangles))
 
 
-def numbers_of_file(path: Path) -> Floats:
-    """Return the array that a PLY, .npy, .npz or .xyz file holds, its frame; or InvalidSource."""
-    return _shape_of_file(path)[0]
-
-
-def _shape_of_file(path: Path) -> tuple[Floats, Floats | None]:
-    """Return the same, and the triangles (F, 3, 3) of a mesh that these points were spread over."""
+def shape_of_file(path: Path) -> tuple[Floats, Floats | None]:
+    """Return the array that a PLY, .npy, .npz or .xyz file holds, its frame, and the triangles (F,
+    3, 3) of a mesh that these points were spread over, None for none; or InvalidSource."""
     read = _READERS.get(path.suffix.lower())
     if read is None:
         known = ", ".join(_READERS)

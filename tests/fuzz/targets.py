@@ -409,10 +409,10 @@ def _read_evaluation(path: Path) -> object:
 
 def _read_cloud(path: Path) -> object:
     from articugen.discovery.objects import discover
-    from articugen.meshes.points import cloud_of_file, numbers_of_file
+    from articugen.meshes.points import cloud_of_file, shape_of_file
 
     del discover
-    numbers_of_file(path)
+    shape_of_file(path)
     return cloud_of_file(path, fit=True)
 
 
