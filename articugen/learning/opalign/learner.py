@@ -17,7 +17,6 @@ from articugen.learning.opalign.settings import OPAlignRecipe
 
 HERE, BACK = 30.0, 120.0  # how fast distances saturate, from the cloud and to it
 WHOLE = 0.5  # the first weight of the whole shape, against that of the parts
-VALIDATED = 64
 
 
 class OPAlignLearner(NetworkLearner):
@@ -37,8 +36,7 @@ class OPAlignLearner(NetworkLearner):
     @torch.no_grad()
     def validate(self, held_out: PackedSplit) -> dict[str, float]:
         """Return the loss of the parts alone, and of the whole shape."""
-        rows = np.linspace(0, len(held_out) - 1, min(VALIDATED, len(held_out))).astype(int)
-        clouds = unpacked(held_out.surface[rows, : self.inputs.surface_points])
+        clouds = unpacked(held_out.surface[held_out.evenly(), : self.inputs.surface_points])
         self.network.eval()
         posed = self.network(clouds)
         parts, whole = (terms_of(*posed, whole=w, turns=self.turns) for w in (0.0, 1.0))
