@@ -59,7 +59,10 @@ class Entry:
         return ""
 
     def _run(self, seed: int) -> None:
-        path, notify = self.what.runs / str(seed), partial(_report, self.what.recipe.name)
+        def notify(now: Progress) -> None:
+            report(replace(now, who=self.what.recipe.name))
+
+        path = self.what.runs / str(seed)
         named, recipe = self.what.named(str(seed)), self._scaled(notify)
         what = replace(named, recipe=recipe, seed=seed)
         is_measured = what.resume and (path / "evaluation" / FILE).is_file()
@@ -199,7 +202,3 @@ def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
 
 def _file_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "-", name).strip(".") or "-"
-
-
-def _report(who: str, now: Progress) -> None:
-    report(replace(now, who=who))
