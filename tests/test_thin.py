@@ -9,7 +9,7 @@ import trimesh
 from articugen.core.arrays import Indices
 from articugen.core.recipe import Recipe
 from articugen.core.records import LabelledMesh
-from articugen.fusion.reachable import walls
+from articugen.fusion.reachable import touched
 from articugen.fusion.thin import NOTHING, ThinVoxels, thin_voxels
 from articugen.instance.preparing import own_solid, solid_part
 from articugen.meshes.bvh import tree_of
@@ -92,7 +92,7 @@ def test_marks_are_those_of_a_lattice_over_the_whole_cube() -> None:
     )
     assert len(broad.faces) == 4
     assert np.array_equal(
-        marked_voxels(thin_voxels(plate, 1 / 96, tree)), np.argwhere(walls(broad, 2 / 96))
+        marked_voxels(thin_voxels(plate, 1 / 96, tree)), np.argwhere(touched(broad, 96))
     )
     fine = thin_voxels(plate, 1 / 900, tree)
     assert 300 < np.ptp(marked_voxels(fine), axis=0).max() < 320
