@@ -1,13 +1,34 @@
 """The benchmark: its truths against closed forms, recipes of others against what they promise."""
 
+from importlib import import_module
+from pkgutil import iter_modules
+
 import numpy as np
 import pytest
 
 import articugen as ag
+from tests import benchmarks, chaos, fuzz
 from tests.benchmarks import cases, glance, labs, paris, publish, tables
 from tests.benchmarks.cases import VOXEL
 from tests.benchmarks.rows import Results
 from tests.shapes import box, labelled
+
+PROGRAMS = [
+    f"{package.__name__}.{module.name}"
+    for package in (benchmarks, chaos, fuzz)
+    for module in iter_modules(package.__path__)
+    if module.name != "__main__"
+]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_programs_that_no_test_runs_find_what_they_import(program):
+    try:
+        import_module(program)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] in ("articugen", "tests"):
+            raise
+        pytest.skip(f"needs {error.name}")
 
 
 def test_distances_by_octants_are_all_distances():

@@ -11,6 +11,7 @@ from articugen.core.geometry import voxel_centres
 from articugen.core.recipe import Recipe
 from articugen.core.records import Floats, Views, dequantize, is_material
 from articugen.core.schema import Instance
+from articugen.fusion.field import FusedField
 from articugen.instance import preparing
 from tests.benchmarks import cases
 from tests.benchmarks.cases import VOXEL, Bools, Model, Scene
@@ -76,7 +77,7 @@ def material(made: Instance, exact: Scene, fields: fusion.PosedFields) -> Row:
     return row
 
 
-def _surface(made: Instance, exact: Scene, whole: fusion.FusedField | fusion.PosedSolids) -> Row:
+def _surface(made: Instance, exact: Scene, whole: FusedField | fusion.PosedSolids) -> Row:
     """How many surface points there are, how many have their part's exact solid behind them, how
     far they are at most from where the field changes its sign."""
     points, normals = dequantize(made.surface_points), made.surface_normals / 127.0
@@ -91,9 +92,7 @@ def _surface(made: Instance, exact: Scene, whole: fusion.FusedField | fusion.Pos
     }
 
 
-def off_level(
-    field: fusion.FusedField | fusion.PosedSolids, points: Floats, normals: Floats
-) -> Floats:
+def off_level(field: FusedField | fusion.PosedSolids, points: Floats, normals: Floats) -> Floats:
     """(n,) no more than so far, in voxels, is each point from a change of the field's sign.
 
     The sign is asked at the point and at `PROBES` to both sides; two that differ have a change

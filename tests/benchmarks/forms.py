@@ -11,6 +11,7 @@ from articugen import fusion
 from articugen.core.geometry import fibonacci_sphere, look_along, transform
 from articugen.core.recipe import Recipe
 from articugen.core.records import Floats, LabelledMesh
+from articugen.fusion.field import FusedField
 from articugen.instance import preparing, sampling
 from tests.benchmarks import cases
 from tests.benchmarks.cases import GENERIC, VOXEL, Model, depth_along
@@ -96,7 +97,7 @@ def uniformity(recipe: Recipe, drawer: Model, points: int) -> list[Row]:
 def _uniform(
     mesh: LabelledMesh,
     seen: NDArray,
-    field: fusion.FusedField | fusion.PosedSolids,
+    field: FusedField | fusion.PosedSolids,
     points: int,
     visible: Any,
 ) -> Row:

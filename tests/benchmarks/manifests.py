@@ -25,7 +25,7 @@ from articugen.pipeline.common import record_in, shard_names
 from articugen.pipeline.job import Job, Share
 from articugen.pipeline.plan import name_of_ref, objects_of
 from articugen.pipeline.records import Records
-from articugen.pipeline.run import common_plan, manifest_of, started
+from articugen.pipeline.run import common_plan, started
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
 from articugen.store.dataset import open as open_data_set
@@ -104,7 +104,10 @@ def write(folder: Path, objects: int) -> Clock:
     done = list(outcomes(mine, refs))
     tell("(make up what became of them)")
     timings = Timings(seconds=1.0, instances_per_second=1.0, peak_memory_bytes=1, workers=1)
-    manifest = manifest_of(mine, done, timings, "MIT")
+    manifest = Manifest.of(
+        done, category=mine.category, source=mine.source, licence="MIT",
+        recipe=mine.recipe.text(), seed=mine.seed, timings=timings,
+    )  # fmt: skip
     tell("Manifest.of")
     mine.folder.mkdir()
     manifest.write(mine.folder)
