@@ -13,6 +13,7 @@ from test_maker import CABINET, TINY
 import articugen as ag
 from articugen.core.errors import ArticugenError, InvalidArgument
 from articugen.core.recipe import Sampling
+from articugen.pipeline.options import Options
 
 README = Path(__file__).parents[1] / "README.md"
 FORMAT = README.parent / "docs" / "format.md"
@@ -60,6 +61,7 @@ def test_generate_goes_on_replaces_and_refuses(folder, tmp_path):
     data = make(on_object=told.append, ids=["first"], seed=np.int64(0))
     assert ([report.reused for report in told], data.objects) == ([False], ("first",))
     told.clear()
+    assert Options("box", ids=[10040], exclude=None).ids == ("10040",)
     one = make(ids="first", out=tmp_path / "one", movable="do*")
     assert [joint.name for joint in one[0].joints] == ["door", "lock"]  # which follows it
     assert len(make(on_object=told.append)) == 2

@@ -160,7 +160,7 @@ def test_a_slider_from_its_lower_limit_has_the_whole_way():
 
 def test_the_recipe_sets_the_way_of_a_slider_without_limits():
     free = tree(joint("box", "prismatic", limits=(-math.inf, math.inf)))
-    with pytest.raises(RejectedInstance, match=r"'box' has no <limit> .*; add one, or .*metres"):
+    with pytest.raises(RejectedInstance, match=r"'box' has no limit at an end; .*metres"):
         resolve(free, Articulation())
     moving = only(free, Articulation(prismatic_metres=(0.0, 0.3)))
     assert (moving.lower, moving.upper) == (0.0, 0.3)
@@ -399,7 +399,7 @@ def test_followers_stay_with_their_driver_after_it_is_zeroed_and_turned(canonica
 def test_a_follower_beyond_its_limits_is_noted(limits, beyond):
     """It goes from 0.4 to -0.4, whichever way the driver is turned."""
     driver = joint("a", "prismatic", limits=(0.0, 1.0))
-    follower = joint("b", limits=limits, mimic=Mimic("a", -0.8, 0.4))
+    follower = joint("b", limits=np.float64(limits), mimic=Mimic("a", -0.8, 0.4))
     notes = [note for note in resolve(tree(driver, follower), Articulation()).notes if "b" in note]
     assert any(note.endswith("where another joint takes it: b") for note in notes) == beyond
 

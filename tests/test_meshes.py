@@ -231,6 +231,12 @@ def test_stl_that_lies_is_refused(tmp_path):
             read_mesh(write(tmp_path / "m.stl", bytes(nan)))
 
 
+def test_stl_of_text_is_read_in_capitals_too(tmp_path):
+    plain = trimesh.creation.box().export(file_type="stl_ascii").encode()
+    first, second = (read_mesh(write(tmp_path / "m.stl", s)) for s in (plain, plain.upper()))
+    assert np.array_equal(first.vertices[first.faces], second.vertices[second.faces])
+
+
 def test_ply_that_lies_is_refused(tmp_path):
     good = trimesh.creation.box().export(file_type="ply", encoding="ascii")
     assert len(read_mesh(write(tmp_path / "m.ply", good)).faces) == 12

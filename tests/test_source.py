@@ -17,6 +17,8 @@ from source_models import URDF, add, add_partnet
 
 from articugen.core.content import SOURCES
 from articugen.core.errors import InvalidSource, MachineFault
+from articugen.pipeline.door import jobs_of
+from articugen.pipeline.options import Options
 from articugen.procedural import CATEGORIES
 from articugen.sources import urdf_files
 from articugen.sources.folders import meta_category
@@ -183,6 +185,18 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
         assert refs[0].settings.canonical == "upper"
     with pytest.raises(InvalidSource, match=r"no object 'q' of 'lamp'; there are: a, b, c, d$"):
         open_source("mine").objects("lamp", ids=["q"])
+
+
+def test_a_folder_has_one_name_however_its_path_ends(tmp_path):
+    add(tmp_path / "plain" / "lamp" / "a.urdf")
+    add(tmp_path / "own" / "lamp" / "a.urdf")
+    add(
+        tmp_path / "own" / "source.yaml",
+        "{origin: x, licence: x, frame: x, categories: {lamp: {}}}",
+    )
+    for folder in (tmp_path / "plain", tmp_path / "own"):
+        job, *_ = jobs_of(Options("lamp", f"{folder}/./"))
+        assert job.source == str(folder) == open_source(job.source).objects("lamp")[0].source
 
 
 def add_many(folder: Path) -> None:

@@ -254,7 +254,7 @@ def _sampled_range(
         lower, upper = 0.0, max(room, 0.0)
     else:
         raise RejectedInstance(
-            f"prismatic joint {joint.name!r} has no <limit> in its URDF; add one, or set "
+            f"prismatic joint {joint.name!r} has no limit at an end; add it, or set "
             "articulation.prismatic_metres in the recipe"
         )
     if settings.clip_to_limits:
@@ -289,7 +289,7 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
         upper=abs(multiplier) * plan.upper,
         moves=True,
         mimic=Mimic(driver, abs(multiplier), 0.0),
-        remarks=("beyond the limits of the URDF, where another joint takes it",) * beyond,
+        remarks=("beyond the limits of the URDF, where another joint takes it",) * bool(beyond),
     )
 
 

@@ -306,6 +306,7 @@ def _read_stl(data: bytes, path: Path, _files: ModelFiles) -> scenes.Arrays:
         scenes.check_size(path, faces=count)
         corners = np.frombuffer(data, _STL_TRIANGLE, offset=84)["corners"]
     elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        data = data.lower()  # some write FACET NORMAL
         scenes.check_size(path, faces=data.count(b"endfacet"), vertices=data.count(b"vertex"))
         texts = _STL_VERTEX.findall(data)
         try:

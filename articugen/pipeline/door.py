@@ -23,9 +23,8 @@ _OF_RECIPE = ("objects", "states", "max_rejected", "movable", "canonical")
 def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
     """Return the data sets that are asked for, one a category; ArticugenError if there is no such
     source, category, object or recipe."""
-    source, out = os.fspath(options.source), options.out
+    opened, out = open_source(os.fspath(options.source)), options.out
     wanted = [options.category] if isinstance(options.category, str) else options.category
-    opened = open_source(source)
     names = opened.categories(wanted)
     if options.scheduler and is_url(out):
         raise InvalidArgument(
@@ -34,10 +33,10 @@ def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
         )
     jobs = [
         Job(
-            source=source,
+            source=opened.name,
             category=name,
             recipe=with_settings(
-                load_recipe(options.recipe, name, source), options.changes
+                load_recipe(options.recipe, name, opened.name), options.changes
             ).with_options(**{name: getattr(options, name) for name in _OF_RECIPE}),
             seed=whole("seed", options.seed),
             out=Remote(str(out)) / name if is_url(out) else Path(out) / name,

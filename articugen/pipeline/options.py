@@ -158,10 +158,11 @@ class Options:
     )
 
     def __post_init__(self) -> None:
-        """Take a text for a list of it."""
-        for one in fields(self):
-            if one.type == Sequence[str] and isinstance(text := getattr(self, one.name), str):
-                object.__setattr__(self, one.name, (text,))
+        """Take a text for a list of it, and numbers for texts."""
+        for name in (one.name for one in fields(self) if one.type == Sequence[str]):
+            value = getattr(self, name)
+            texts = (value,) if isinstance(value, str) else () if value is None else value
+            object.__setattr__(self, name, tuple(map(str, texts)))
 
 
 def takes(record: Callable[P, T]) -> Callable[[Callable[[T], R]], Callable[P, R]]:

@@ -87,8 +87,8 @@ class Source:
             raise InvalidSource("no category is asked for; name one as articugen sources lists it")
         there: Iterable[str] = ()
         if "all" in names and self.yaml:
-            found = self.file.categories if self.is_made else self.counts()
-            there = [name for name in found if found[name]]
+            counts = self.file.categories if self.is_made else self.counts()
+            there = [name for name in counts if counts[name]]
         elif "all" in names:
             kinds = {model.kinds for model in listing.mixed_models(self.folder, self.file)}
             stated = {next(filter(None, map(self.file.own_name, k)), k[0]) for k in kinds if k}
@@ -351,8 +351,8 @@ def open_source(source: str | Path) -> Source:
         )
     yaml = named or Path(source, "source.yaml")
     if os.path.isfile(yaml):
-        name, file, users = str(source), read_source_file(yaml), users_folder()
-        folder = yaml.parent / (file.path or "")
+        name, file = str(source if named else Path(source)), read_source_file(yaml)
+        users, folder = users_folder(), yaml.parent / (file.path or "")
         if named and not file.path and users and (users / name).is_dir():
             folder = users / name
         return Source(name, folder, yaml, file)

@@ -60,8 +60,7 @@ def read(folder: Path, count: int) -> Recording:
     images = sorted((folder / DEPTH[0]).glob("*.txt"), key=_seconds)
     if not images:
         raise InvalidSource(f"{folder / DEPTH[0]}: holds no <index>-<seconds>.txt")
-    name = re.match(r"[A-Za-z]*", folder.name)
-    model = folder.absolute().parents[2] / "objects" / (name[0] if name else "")
+    model = folder.absolute().parents[:3][-1] / "objects" / re.sub("[^A-Za-z].*", "", folder.name)
     markers, surfaces = _model(model, _seconds(images[0]))
     about = folder / f"{DEPTH[0]}_camera_info.csv"
     info = _Table(about).numbers(*_INTRINSICS)[0]
