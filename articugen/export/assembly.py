@@ -14,17 +14,12 @@ from numpy.typing import NDArray
 from articugen.core.arrays import Floats
 from articugen.core.records import Mesh
 from articugen.export.items import Item, LeftOut, canonical
-from articugen.export.parts import (
-    MetricJoint,
-    metric_joints,
-    part_names,
-    part_solids,
-    picture_of,
-)
+from articugen.export.parts import metric_joints, part_names, part_solids, picture_of
 from articugen.export.target import Files
 from articugen.meshes.convex import agreement, apart, convex_pieces
 from articugen.meshes.model_text import obj_text
 from articugen.meshes.painting import Look, looks
+from articugen.store.rows import RowJoint
 
 DENSITY = 500.0
 """kg/m^3, of wood. Models do not state theirs; mass and inertia follow from it and the volume."""
@@ -59,7 +54,7 @@ class Body:
         hulls: convex meshes that together fill about the same space; () unless asked for.
         filled: the mesh with DENSITY in it: `mass` kg; `center_mass` (3,) metres, in its frame;
             `moment_inertia` (3, 3) about that, kg m^2.
-        joint: what it moves by; None of part 0.
+        joint: what it moves by, as `metric_joints` has it; None of part 0.
     """
 
     name: str
@@ -68,7 +63,7 @@ class Body:
     mesh: Mesh
     hulls: tuple[Mesh, ...]
     filled: trimesh.Trimesh
-    joint: MetricJoint | None
+    joint: RowJoint | None
 
 
 def bodies(item: Item, target: Files) -> tuple[Body, ...]:

@@ -6,7 +6,7 @@ its model as `verify --replay` does; or, where that cannot be, from the finest g
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -106,34 +106,24 @@ def part_boxes(rows: DataSet) -> Floats:
     return boxes
 
 
-@dataclass(frozen=True, eq=False)
-class MetricJoint(RowJoint):
-    """A joint in the world frame, canonical pose; its state there is 0.
-
-    Attributes:
-        name: as the model's file has it, or a made-up one; none is there twice.
-        pivot: (3,) a point on the axis, metres.
-        lower, upper: its range, rad or metres; 0 lies in it.
-    """
-
-
-def metric_joints(row: Row) -> tuple[MetricJoint, ...]:
-    """Return the joints of an object, from its canonical pose.
+def metric_joints(row: Row) -> tuple[RowJoint, ...]:
+    """Return the joints of an object in the world frame, from its canonical pose, where all states
+    are 0: named as in the model's file or by a made-up name, none twice, pivots in metres.
 
     The range is that of the data, widened to the canonical pose where that lies outside.
     """
     names = unique(joint.name or f"joint_{joint.part}" for joint in row.joints)
     return tuple(
-        MetricJoint(**{
-            **vars(joint),
-            "name": name,
-            "pivot": row.to_metres(joint.pivot),
-            "axis": np.asarray(joint.axis) / np.linalg.norm(joint.axis),
-            "lower": min(joint.lower, 0.0),
-            "upper": max(joint.upper, 0.0),
-        })
+        replace(
+            joint,
+            name=name,
+            pivot=row.to_metres(joint.pivot),
+            axis=np.asarray(joint.axis) / np.linalg.norm(joint.axis),
+            lower=min(joint.lower, 0.0),
+            upper=max(joint.upper, 0.0),
+        )
         for name, joint in zip(names, row.joints, strict=True)
-    )  # fmt: skip
+    )
 
 
 def part_names(row: Row) -> tuple[str, ...]:
