@@ -40,9 +40,9 @@ def read(path: Path) -> model.Model:
 
 def boxes(made: model.Model) -> dict[str, np.ndarray]:
     return {
-        name: np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
-        for name, mesh in made.links
-        if mesh is not None and len(mesh.vertices)
+        link.name: np.stack([link.mesh.vertices.min(0), link.mesh.vertices.max(0)])
+        for link in made.links
+        if len(link.mesh.vertices)
     }
 
 
@@ -52,7 +52,7 @@ def moving(made: model.Model) -> list[Joint]:
 
 def world_of(made: model.Model, state: dict[str, float]) -> dict[str, np.ndarray]:
     """`T_world_link` by plain matrices."""
-    world = {made.links[0][0]: np.eye(4)}
+    world = {made.links[0].name: np.eye(4)}
     for j in made.joints:
         q = state.get(j.name, 0.0)
         slides = j.kind == JointKind.PRISMATIC
@@ -150,7 +150,7 @@ def test_prims_stand_where_openusd_has_them(tmp_path, seed):
     cube = stage.GetPrimAtPath("/root/a/cube")
     T = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(cube)).T
     corners = np.array(np.meshgrid(*[[-0.25, 0.25]] * 3)).reshape(3, -1).T
-    ours = read(path).links[0][1].vertices
+    ours = read(path).links[0].mesh.vertices
     np.testing.assert_allclose(
         np.sort(ours.round(9), axis=0), np.sort(apply(T, corners).round(9), axis=0), atol=1e-6
     )
@@ -288,12 +288,12 @@ def test_two_fixed_joints_between_rigid_parts_are_no_loop(tmp_path):
 
 def test_names_that_are_shared_are_told_by_their_paths(tmp_path):
     lids = "".join(body(n, inside=body("lid")) for n in ("left", "right", "world"))
-    names = [name for name, _ in read(written(tmp_path, lids)).links]
+    names = [link.name for link in read(written(tmp_path, lids)).links]
     assert names == ["world", "left", "left.lid", "right", "right.lid", "world~", "world.lid"]
 
 
 def volume(made: model.Model, link: int = 0) -> float:
-    mesh = made.links[link][1]
+    mesh = made.links[link].mesh
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
     assert solid.is_watertight
     return solid.volume
@@ -320,7 +320,7 @@ def test_shapes_have_their_volume_and_extent(tmp_path, axis, shape, attributes, 
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), 0.0)
     np.testing.assert_allclose(boxes(made)["world"], np.array(extent), atol=0.01)
     if shape == "Cone":
-        tip = made.links[0][1].vertices[-1]
+        tip = made.links[0].mesh.vertices[-1]
         np.testing.assert_allclose(tip, 1.5 * np.eye(3)["XYZ".index(axis)], atol=1e-12)
 
 
@@ -395,9 +395,9 @@ def test_all_forms_of_a_model_are_the_same_model(tmp_path):
     for name in ("cab.usdc", "cab.usdz"):
         made = read(tmp_path / name)
         assert made.sha256 != truth.sha256
-        for (own, mesh), (other, expected) in zip(made.links, truth.links, strict=True):
-            assert own == other
-            np.testing.assert_allclose(mesh.vertices, expected.vertices, atol=1e-9)
+        for link, other in zip(made.links, truth.links, strict=True):
+            assert link.name == other.name
+            np.testing.assert_allclose(link.mesh.vertices, other.mesh.vertices, atol=1e-9)
         for j, k in zip(made.joints, truth.joints, strict=True):
             np.testing.assert_allclose(j.T_parent_joint, k.T_parent_joint, atol=1e-9)
 
@@ -410,6 +410,6 @@ def test_reading_apart_is_reading(tmp_path, monkeypatch):
     one, other = read(path), apart.apart(partial(model.read_model, root=path.parent), path)
     assert other.sha256 == one.sha256
     assert repr(other.joints) == repr(one.joints)
-    for (_, mesh), (_, expected) in zip(other.links, one.links, strict=True):
-        np.testing.assert_array_equal(mesh.vertices, expected.vertices)
-        np.testing.assert_array_equal(mesh.faces, expected.faces)
+    for link, expected in zip(other.links, one.links, strict=True):
+        np.testing.assert_array_equal(link.mesh.vertices, expected.mesh.vertices)
+        np.testing.assert_array_equal(link.mesh.faces, expected.mesh.faces)

@@ -2,16 +2,16 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from articugen.core.arrays import Floats
 from articugen.core.errors import InvalidSource
-from articugen.core.records import Joint, Mesh
+from articugen.core.records import Joint, Link, Mesh
 from articugen.meshes import openusd as pxr
+from articugen.meshes import read
 from articugen.meshes.model_files import MAX_NAME_BYTES, ModelFiles, quoted
 from articugen.sources.shapes import joined
 from articugen.sources.usd.layers import Layers, plainly
@@ -27,26 +27,27 @@ _Z_UP = np.eye(3)
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """Contents of a file.
 
     Attributes:
-        links: name and mesh of each, in the link's frame, metres; the fixed one first. Of a model
-            read without meshes None where there would be one, and empty elsewhere.
+        links: each in its own frame, metres; the fixed one first.
         joints: each after the one its parent hangs on.
         sha256: the digest of all layers.
         notes: what a user should know.
     """
 
-    links: tuple[tuple[str, Mesh | None], ...]
+    links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     sha256: str
     notes: tuple[str, ...]
 
 
-def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
+def read_model(path: Path, root: Path, wanted: str = "meshes") -> Model:
     """Read a model from its main layer, or a package, at `path`; its layers may not leave `root`.
+
+    Args:
+        wanted: as `read.wanted` has it; without "meshes" a link's is a stand-in where it has one.
 
     Raises:
         InvalidSource: anything amiss with it.
@@ -54,14 +55,9 @@ def read_model(path: Path, root: Path, *, with_meshes: bool = True) -> Model:
     """
     files = ModelFiles(path.parent, root)
     layers = Layers(path, files)
-    return _Reading(path, _stage(layers, path), with_meshes).model(files.sha256())
-
-
-def digest(path: Path, root: Path) -> str:
-    """Return the digest of all layers of a model; raises as `read_model`."""
-    files = ModelFiles(path.parent, root)
-    Layers(path, files)
-    return files.sha256()
+    if wanted == "hash":
+        return Model((Link("world", read.STAND_IN),), (), files.sha256(), ())
+    return _Reading(path, _stage(layers, path), wanted == "meshes").model(files.sha256())
 
 
 def _stage(layers: Layers, path: Path) -> Any:
@@ -97,18 +93,14 @@ class _Reading:
             raise InvalidSource(f"{self._path}: its unit of {metres:g} m is none; correct it")
         up = _Z_UP if pxr.UsdGeom.GetStageUpAxis(self._stage) == pxr.UsdGeom.Tokens.z else _Y_UP
         physics = Stage(str(self._path), self._places, numbers, up, metres)
-        read = [(prim, joint) for prim in jointed if (joint := read_joint(prim, physics))]
-        joints = [joint for _, joint in read]
-        names, joint_names = self._names([None, *bodies]), self._names([prim for prim, _ in read])
+        both = [(prim, joint) for prim in jointed if (joint := read_joint(prim, physics))]
+        joints = [joint for _, joint in both]
+        names, joint_names = self._names([None, *bodies]), self._names([prim for prim, _ in both])
         tree = Tree(str(self._path), names, joints, joint_names, _holders(bodies, joints))
         meshes = self._meshes(shapes, physics, tree.origins)
         self._note_what_is_left_out(jointed)
-        return Model(
-            tuple(zip(names, meshes, strict=True)),
-            tuple(tree.joints),
-            sha256,
-            (*tree.notes, *self._notes),
-        )
+        links, notes = tuple(map(Link, names, meshes)), (*tree.notes, *self._notes)
+        return Model(links, tuple(tree.joints), sha256, notes)
 
     def _found(self) -> tuple[list[Any], list[Any], list[Any]]:
         """Return the prims that are bodies, joints and shapes, in the default prim where the file
@@ -158,7 +150,7 @@ class _Reading:
             names.append(unique)
         return names
 
-    def _meshes(self, shapes: list[Any], physics: Stage, origins: Floats) -> list[Mesh | None]:
+    def _meshes(self, shapes: list[Any], physics: Stage, origins: Floats) -> list[Mesh]:
         """Return the meshes of each link, in its frame."""
         meshes: list[list[Any]] = [[] for _ in origins]
         for prim in shapes:
@@ -167,7 +159,7 @@ class _Reading:
                 prim
             )
         if not self._with_meshes:
-            return [None if prims else joined(()) for prims in meshes]
+            return [read.STAND_IN if prims else joined(()) for prims in meshes]
         return [
             joined(self._placed(prim, physics, origin) for prim in prims)
             for prims, origin in zip(meshes, origins, strict=True)

@@ -10,13 +10,13 @@ from os.path import isdir
 from pathlib import Path
 
 from articugen.core.errors import InvalidSource
-from articugen.core.records import ArticulatedObject, Link
+from articugen.core.records import ArticulatedObject
 from articugen.meshes import read
 from articugen.sources.folders import has_urdf, model_in, visible
 from articugen.sources.refs import CategorySettings, Found, ObjectRef
 from articugen.sources.usd.apart import apart
 from articugen.sources.usd.layers import SUFFIXES
-from articugen.sources.usd.model import digest, read_model
+from articugen.sources.usd.model import read_model
 
 LAYER_FOLDERS = frozenset(
     ("resource", "subusds", "configuration", "payloads", "materials", "textures")
@@ -67,16 +67,8 @@ def load(ref: ObjectRef, settings: CategorySettings) -> ArticulatedObject:
             f"{ref.location}: has no main USD file; call it like the folder, and put its other "
             "layers into resource/"
         )
-    root = ref.root or path.parent
-    if read.wanted() == "hash":
-        links, joints, notes = ((Link("world", read.STAND_IN),), (), ())
-        sha256 = apart(partial(digest, root=root), path)
-    else:
-        with_meshes = read.wanted() == "meshes"
-        obj = apart(partial(read_model, root=root, with_meshes=with_meshes), path)
-        links = tuple(Link(n, read.STAND_IN if m is None else m) for n, m in obj.links)
-        joints, notes, sha256 = obj.joints, obj.notes, obj.sha256
-    return ref.object_of(settings, links, joints, sha256, notes)
+    model = partial(read_model, root=ref.root or path.parent, wanted=read.wanted())
+    return ref.object_of(settings, *apart(model, path))
 
 
 def _is_of_another(path: Path) -> bool:
