@@ -74,11 +74,6 @@ def test_version_and_help() -> None:
             assert f"articugen {command[0]} " in done.output.split("Example")[1]
 
 
-def test_sources_lists_the_procedural_ones_with_the_papers_counts() -> None:
-    lines = run("sources").output.splitlines()
-    assert "laptop            73 train, 13 test" in [line.strip() for line in lines]
-
-
 def test_sources_lists_what_will_be_made(tmp_path: Path) -> None:
     (line,) = [
         words
@@ -346,30 +341,6 @@ def make_object(*given, **more):
 pipeline.make_object = make_object
 main()
 """
-
-
-def test_ctrl_c_keeps_finished_work_and_the_next_run_goes_on(recipe, made, tmp_path):
-    command = ["generate", "-c", "laptop", "-r", str(recipe), "-o", str(tmp_path), "-j", "0"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTED, *command],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    _, said = process.communicate(timeout=100)
-    assert process.returncode == 130, said
-    assert "finished work is kept; run the same command to resume" in said
-    assert "Traceback" not in said
-    assert not (tmp_path / "laptop" / "manifest.json").exists()
-    shard = tmp_path / "laptop" / "train-00000.h5"
-    written = shard.stat().st_mtime_ns
-    assert run(*command).exit_code == 0
-    assert shard.stat().st_mtime_ns == written
-    whole = json.loads((tmp_path / "laptop" / "manifest.json").read_text())
-    assert (
-        whole["content_sha256"]
-        == json.loads((made / "manifest.json").read_text())["content_sha256"]
-    )
 
 
 TWICE = """

@@ -20,7 +20,6 @@ from articugen.core import content
 from articugen.core.errors import (
     ArticugenError,
     InvalidRecipe,
-    InvalidSource,
     MachineFault,
     NotOfCategory,
 )
@@ -325,21 +324,6 @@ def test_versions_of_bundled_models_decide_no_other_models(boxes, tmp_path, monk
     assert after == before
 
 
-def test_a_missing_or_altered_shard_is_made_again(mine: Path, whole: Path) -> None:
-    (mine / "train-00001.h5").unlink()
-    damaged = bytearray((mine / "test-00000.h5").read_bytes())
-    damaged[len(damaged) // 2] ^= 1
-    (mine / "test-00000.h5").write_bytes(damaged)
-    found = planned(job(mine))
-    assert {task.why for task in found.tasks} == {
-        "its shard train-00001.h5 is missing or altered",
-        "its shard test-00000.h5 is missing or altered",
-    }
-    _, reports = made(job(mine))
-    assert sum(r.reused for r in reports) == 2
-    assert contents(mine) == contents(whole)
-
-
 def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> None:
     ours = job(tmp_path / "out", source=str(boxes), category="box")
     made(ours)
@@ -439,14 +423,6 @@ def test_objects_without_area_are_rejected_and_such_parts_are_empty(boxes, tmp_p
         assert not shard.instance(1).surface_part.any()
 
 
-def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(ArticugenError, match="file/out") as caught:
-        made(job(tmp_path / "file" / "out"))
-    assert "\n" not in str(caught.value)
-    assert (tmp_path / "file").read_text() == "in the way"
-
-
 def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(whole, tmp_path):
     (tmp_path / "out").write_text("in the way")
     with pytest.raises(MachineFault, match="a file is in the way; move it away or"):
@@ -468,13 +444,6 @@ def test_a_disk_that_is_locked_meanwhile_stops_the_run_and_rejects_nothing(whole
         assert len(planned(job(disk / "out")).tasks) == 3
         assert made(job(disk / "out"))[0].rejected == ()
         assert contents(disk / "out") == contents(whole)
-
-
-def test_unknown_sources_and_categories_name_the_nearest(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSource, match="did you mean 'procedural'"):
-        planned(job(tmp_path, source="procedurl"))
-    with pytest.raises(InvalidSource, match="did you mean 'eyeglasses'"):
-        planned(job(tmp_path, category="eyeglass"))
 
 
 def test_an_object_that_is_not_of_the_category_is_skipped_without_blame(
