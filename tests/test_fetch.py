@@ -436,17 +436,6 @@ def shape2motion() -> dict[str, bytes]:
     }
 
 
-def test_one_bad_archive_stops_no_other_and_the_whole_partnet_is_flat(tmp_path):
-    for name, folder in (("good", "dataset/9748/"), ("bad", "../")):
-        (tmp_path / f"{name}.zip").write_bytes(zipped(model_files(), folder=folder))
-    archives = [tmp_path / f"{name}.zip" for name in ("bad", "good", "gone")]
-    done = unpacked("partnet-mobility", tmp_path / "out", *archives)
-    assert done.exit_code == 3
-    assert "not fetched bad.zip" in done.output
-    assert "not fetched gone.zip" in done.output
-    assert files_in(tmp_path / "out" / "9748") == model_files()
-
-
 @pytest.fixture
 def elsewhere(tmp_path):
     """A folder beside the one that is fetched into, to which links lead; it stays as it is."""
