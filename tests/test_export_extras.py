@@ -134,28 +134,16 @@ def test_artgs_as_its_scene_reads_it(scenes, rows):
             for split in ("train", "test"):
                 told = json.loads((folder / f"transforms_{split}_{word}.json").read_text())
                 counts[split] = len(told["frames"])
-                for frame in told["frames"]:
+                for number, frame in enumerate(told["frames"]):
                     assert frame["time"] == time
+                    # data_tools/process_artgs.py takes files by number, poses by their place
+                    image = readers_image(folder, frame["file_path"])
+                    assert image == folder / word / split / "rgba" / f"{number:04d}.png"
                     check_frame(folder, frame, told, row)
             assert counts == {"train": 8, "test": 1}
         both = json.loads((folder / "transforms_train.json").read_text())["frames"]
         assert [frame["time"] for frame in both] == 8 * [0.0] + 8 * [1.0]
         assert all((folder / frame["file_path"]).is_file() for frame in both)
-
-
-def test_artgs_as_its_point_clouds_are_made(scenes, rows):
-    """data_tools/process_artgs.py takes files by number and poses by their place in the list."""
-    for object_id, own in rows.by_object():
-        folder = scenes / own[0].split / object_id
-        assert np.array(Image.open(folder / "start/train/rgba/0000.png")).shape == (48, 48, 4)
-        for word in ("start", "end"):
-            told = json.loads((folder / f"transforms_train_{word}.json").read_text())
-            for number, frame in enumerate(told["frames"]):
-                rgba = folder / word / "train" / "rgba" / f"{number:04d}.png"
-                assert readers_image(folder, frame["file_path"]) == rgba
-                assert np.array(Image.open(rgba)).shape == (48, 48, 4)
-                depth = folder / word / "train" / "depth" / rgba.name
-                assert np.array(Image.open(depth)).dtype == np.uint16
 
 
 def test_artgs_as_paris_reads_it(scenes, rows):
@@ -213,9 +201,10 @@ def test_the_truth_of_a_scene_of_artgs_moves_its_parts(scenes, rows, tmp_path):
 def check_frame(folder, frame, told, row):
     """Depths that are seen lie on the surface, where its cameras put them."""
     path = readers_image(folder, frame["file_path"])
-    rgba = np.array(Image.open(path).convert("RGBA"))
-    depth = np.array(Image.open(str(path).replace("rgba", "depth"))) / 1e3
-    assert depth.shape == rgba.shape[:2] == (48, 48)
+    rgba = np.array(Image.open(path))
+    stored = np.array(Image.open(str(path).replace("rgba", "depth")))
+    assert (stored.dtype, stored.shape, rgba.shape) == (np.uint16, (48, 48), (48, 48, 4))
+    depth = stored / 1e3
     np.testing.assert_array_equal(rgba[..., 3] > 127, depth > 0)
     R, T = readers_camera(frame)
     i, j = np.nonzero(depth)
