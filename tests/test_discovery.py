@@ -14,7 +14,12 @@ from rich.console import Console
 import articugen as ag
 from articugen.cli.discover import _summary, _table
 from articugen.core.errors import InvalidArgument
-from articugen.core.geometry import apply, rotation_about, transform
+from articugen.core.geometry import (
+    apply,
+    joint_motion,
+    points_on_triangles,
+    rotation_about,
+)
 from articugen.core.records import Floats, JointKind, dequantize
 from articugen.discovery import KINDS, Discovery, FoundJoint, discover
 from articugen.discovery.clouds import Surface
@@ -29,16 +34,11 @@ Motion = Callable[[float], Floats]
 def turn(axis: Sequence[float], pivot: Sequence[float]) -> Motion:
     """The motion (4, 4) of a state about an axis through `pivot`."""
     way = np.array(axis) / np.linalg.norm(axis)
-
-    def motion(angle: float) -> Floats:
-        R = rotation_about(way, angle)
-        return transform(R, np.array(pivot) - R @ np.array(pivot))
-
-    return motion
+    return lambda angle: joint_motion(True, way, angle, pivot)
 
 
 def slide(axis: Sequence[float]) -> Motion:
-    return lambda length: transform(translation=length * np.array(axis))
+    return lambda length: joint_motion(False, axis, length)
 
 
 def sampled(
@@ -46,14 +46,7 @@ def sampled(
 ) -> Floats:
     """(count, 3) uniform on the surface of a box."""
     mesh = box(size, centre)
-    corners = mesh.vertices[mesh.faces]
-    area = mesh.area_faces / mesh.area
-    face = rng.choice(len(corners), count, p=area)
-    a, b = rng.random((2, count, 1))
-    fold = a + b > 1
-    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
-    c = corners[face]
-    return c[:, 0] * (1 - a - b) + c[:, 1] * a + c[:, 2] * b
+    return points_on_triangles(mesh.vertices[mesh.faces], count, rng=rng)[0]
 
 
 BODY = ((0.4, 0.5, 0.5), (-0.2, 0.0, 0.0))
@@ -308,9 +301,7 @@ def test_faces_lay_an_object_along_the_axes(normals: bool) -> None:
     R = rotation_about(np.array([0.0, 0.6, 0.8]), 0.7)
     rng = np.random.default_rng(3)
     mesh = box((0.5, 0.4, 0.3))
-    face = rng.choice(12, 4000, p=mesh.area_faces / mesh.area)
-    weights = rng.dirichlet(np.ones(3), 4000)
-    cloud = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+    cloud, face = points_on_triangles(mesh.vertices[mesh.faces], 4000, rng=rng)
     outward = mesh.face_normals[face]
 
     def frame(points: Floats, faces: Floats) -> Floats:
