@@ -114,7 +114,6 @@ class ObjectRef:
         location, root, reader: as in `Found`.
         top: the folder that somebody named, which packages of ROS may not leave; None where that
             was the model's file.
-        own_category: what the model itself says that it is; "" where it does not.
         is_made: whether it is made on demand, by a generator.
         messy: of objects that are made, how badly they are written: from 0 to 2.
         varied: of objects that are made, whether as various as those of others are.
@@ -130,7 +129,6 @@ class ObjectRef:
     root: Path | None = None
     top: Path | None = None
     reader: str = "urdf"
-    own_category: str = ""
     is_made: bool = False
     messy: int = 0
     varied: bool = False

@@ -246,8 +246,7 @@ class Source:
         refs = {
             f.object_id: ObjectRef(
                 self.name, category, f.object_id, "", f.location, f.root, top, f.reader,
-                own_category=f.category, licence=self.licence,
-                settings=settings(category, f.reader, f.category),
+                licence=self.licence, settings=settings(category, f.reader, f.category),
             )
             for f in sorted_models
         }  # fmt: skip
