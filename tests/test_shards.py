@@ -51,35 +51,29 @@ NAMED = tuple(
 ABOUT = attributes_of()
 
 
-def test_instances_come_back_as_they_were(written):
+def test_a_shard_tells_of_its_instances_and_its_record_of_the_file(written):
     path, record = written
+    data = path.read_bytes()
+    assert (record.name, record.bytes) == (path.name, len(data))
+    assert record.sha256 == hashlib.sha256(data).hexdigest()
     with open_shard(path) as shard:
         assert len(shard) == record.instances == len(ROWS)
-        for index, row in enumerate(ROWS):
-            assert_same(shard.instance(index), row)
         assert shard.object_ids() == ("box-0",) * len(ROWS)
         assert ABOUT.items() <= shard.attributes.items()
+        row = shard.instance(0)
         with pytest.raises(IndexError, match="no instance 4"):
             shard.instance(4)
+    assert (row.joint_name, row.part_name, row.part_semantic, dict(row.coverage)) == (None,) * 3 + (
+        {},
+    )
 
 
-def test_optional_fields_come_back_as_they_were(tmp_path):
+def test_names_are_text_for_plain_h5py(tmp_path):
     write_shard(tmp_path / "named.h5", NAMED, ABOUT)
-    with open_shard(tmp_path / "named.h5") as shard:
-        for index, row in enumerate(NAMED):
-            assert_same(shard.instance(index), row)
     with h5py.File(tmp_path / "named.h5") as file:
         dataset = file["part_name"]
         assert isinstance(dataset, h5py.Dataset)
         assert tuple(dataset.asstr()[2]) == NAMED[2].part_name
-
-
-def test_shards_without_optional_fields_have_none(written):
-    with open_shard(written[0]) as shard:
-        row = shard.instance(0)
-    assert (row.joint_name, row.part_name, row.part_semantic, dict(row.coverage)) == (None,) * 3 + (
-        {},
-    )
 
 
 def test_names_count_in_the_content_whatever_the_grouping(tmp_path):
@@ -150,15 +144,6 @@ def test_what_users_add_is_left_alone(written, copy):
     with open_shard(copy) as shard:
         assert shard.content() == written[1].content
         assert set(shard.fields) == set(ROWS[0].arrays())
-
-
-def test_record_tells_of_the_file(written):
-    path, record = written
-    data = path.read_bytes()
-    assert (record.name, record.bytes) == (path.name, len(data))
-    assert record.sha256 == hashlib.sha256(data).hexdigest()
-    with open_shard(path) as shard:
-        assert shard.content() == record.content
 
 
 def test_content_digest_is_the_one_documented(written):
