@@ -497,29 +497,6 @@ def test_real_models_agree_with_yourdfpy_scene(path):
 
 @needs_real_models
 @pytest.mark.parametrize(
-    ("name", "problem"),
-    {
-        "error_convert_loop_joint_structure": "joints joint_1, joint_2, joint_3 form a loop",
-        "error_duplicate_joint_names": "joint 'JointA': a second joint of that name at line 36",
-        "error_incorrect_joint_type": "joint 'JointA': unknown type 'incorrect_type'",
-        "error_incorrect_vec3": "link 'BaseLink': <origin> xyz='-2.2 0.0 0.5 1.0' is not 3",
-        "error_joint_axis_0": "joint 'JointA': <axis> is zero",
-        "error_no_joint_child": "joint 'JointA': has no <child>",
-        "error_no_link": "<robot> has no <link>",
-        "error_xml_syntax": "not well-formed XML",
-        "fixed_floating_joints": "joint 'joint_arm_1': type 'floating'",
-        "fixed_planar_joints": "joint 'joint_planar_axis_z': type 'planar'",
-        "prismatic_joints": "links 'BaseLink', 'Arm_5' are all roots",
-        "warning_obj_no_exist_filename": "link 'BaseLink': mesh 'assets/no_exist.obj' does not",
-    }.items(),
-)
-def test_difficult_urdf_is_refused(name, problem):
-    with pytest.raises(InvalidSource, match=problem):
-        load_urdf(REAL_MODELS / "difficult" / f"{name}.urdf", object_id="1", category="c")
-
-
-@needs_real_models
-@pytest.mark.parametrize(
     ("name", "kinds"),
     {
         "fixed_continuous_joints": "fixed continuous",
