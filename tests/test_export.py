@@ -133,26 +133,6 @@ def test_a_record_that_is_not_ours_counts_for_nothing(boxes, tmp_path, record):
     assert (tmp_path / "secret").read_bytes() == b"own"
 
 
-def test_a_damaged_plan_is_refused_and_left_as_it_is(boxes, tmp_path):
-    ag.export(boxes, "ply", tmp_path, split="test")
-    unfinish(tmp_path)
-    (tmp_path / LEDGER / "plan.json").write_bytes(b"no plan")
-    before = files_in(tmp_path)
-    with pytest.raises(ArticugenError, match=r"plan.json: damaged; delete it"):
-        ag.export(boxes, "ply", tmp_path, split="test")
-    assert files_in(tmp_path) == before
-
-
-def test_a_link_in_the_place_of_the_ledger_is_not_followed(boxes, tmp_path):
-    out, other = tmp_path / "out", tmp_path / "other"
-    out.mkdir()
-    other.mkdir()
-    (out / LEDGER).symlink_to(other)
-    with pytest.raises(ArticugenError, match=r"'\.articugen' in it is a symbolic link"):
-        ag.export(boxes, "ply", out)
-    assert files_in(other) == {}
-
-
 def test_no_link_in_the_folder_is_written_through(boxes, tmp_path):
     """Neither one that lies beside an empty ledger, nor one in the place of a folder of ours."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"

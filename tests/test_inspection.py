@@ -17,7 +17,7 @@ from test_html_report import cube as sampled_cube
 from test_html_report import shard as write
 
 from articugen.core.colours import COLOURS, colour_of
-from articugen.core.errors import ArticugenError, InvalidArgument
+from articugen.core.errors import ArticugenError
 from articugen.core.geometry import apply, fibonacci_sphere, invert_rigid, rotation_about, transform
 from articugen.core.near import cells_of, near
 from articugen.core.recipe import Recipe
@@ -32,7 +32,6 @@ from articugen.pictures.portrait import opened
 from articugen.pictures.shading import PAPER
 from articugen.pictures.splats import draw
 from articugen.pictures.surfels import OrientedPoints, surfels
-from articugen.store.shelf import shards_of
 
 
 def one_part(points: np.ndarray, normals: np.ndarray) -> OrientedPoints:
@@ -387,16 +386,6 @@ def test_the_summary_adds_up(tmp_path: Path) -> None:
     assert sum(surface[:-1]) == pytest.approx(100.0, abs=0.02)
     total = next(row for row in rows if row[:1] == ["all"] and "B" in row[-1])
     assert " ".join(total[1:3]) == size(path.stat().st_size)
-
-
-def test_a_folder_stands_for_its_shards(tmp_path: Path) -> None:
-    path = shard(tmp_path)
-    assert shards_of(tmp_path) == [path] == shards_of(path)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InvalidArgument, match="holds no shard"):
-        shards_of(tmp_path / "empty")
-    with pytest.raises(InvalidArgument, match="no such shard or folder; correct its path"):
-        shards_of(tmp_path / "lost.h5")
 
 
 def test_the_histogram_is_as_high_as_its_fullest_bin() -> None:
