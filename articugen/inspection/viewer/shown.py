@@ -1,6 +1,6 @@
 """One object at any joint state: as it is stored, made again from its source, or the nearest."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
@@ -139,17 +139,15 @@ class Shown:
         Raises:
             RejectedInstance: a part is too small to have any.
         """
-        surfaces = self._part_surfaces()  # a triangle a voxel takes a browser fifty times as long
-        return tuple(simpler(mesh, WITHIN) if len(mesh.faces) else mesh for mesh in surfaces)
-
-    def _part_surfaces(self) -> Iterator[Mesh]:
         if self.maker is not None:
-            yield from again.part_meshes(self.maker.prepared, PART_VOXELS)
-            return
-        first = self.read(0)
+            return tuple(again.part_meshes(self.maker.prepared, PART_VOXELS, within=WITHIN))
+        first, meshes = self.read(0), list[Mesh]()
         if not first.occupancy:
-            return
+            return ()
         label = first.occupancy[max(first.occupancy)]
         for part, back in enumerate(invert_rigid(first.part_motion)):
             posed = zero_level(np.where(label == part + 1, 1.0, -1.0))
-            yield Mesh(apply(back, posed.vertices), posed.faces)
+            mesh = Mesh(apply(back, posed.vertices), posed.faces)
+            # a triangle a voxel takes a browser fifty times as long
+            meshes.append(simpler(mesh, WITHIN) if len(mesh.faces) else mesh)
+        return tuple(meshes)
