@@ -303,14 +303,13 @@ def test_processes_write_the_same_files(tmp_path):
 
 
 def test_two_items_with_one_file_are_refused(tmp_path):
-    target = Target(tmp_path / "out", {"format": "ply"}, Options())
+    target = Target(tmp_path, {"format": "ply"}, Options())
     file = Written("train/a.ply", 3, "00")
     target.finished("a", [file], None)
     with pytest.raises(ArticugenError, match=r"a\.ply: two things would be called so; rename an"):
         target.finished("b", [file], None)
     with pytest.raises(ArticugenError, match="two things would be called so"):
         target.write("train/a.ply", b"ply")
-    target.close()
 
 
 def test_names_are_not_given_twice():

@@ -11,7 +11,7 @@ from typing import Any
 
 from articugen.core import schema
 from articugen.core.errors import InvalidArgument, MissingExtra
-from articugen.core.files import sha256_of
+from articugen.core.files import locked, sha256_of
 from articugen.core.processes import default_jobs, in_order
 from articugen.export.formats import format_named, options_for
 from articugen.export.items import Item, LeftOut, Options, file_name, instance_name
@@ -87,15 +87,16 @@ def export(
     if not len(chosen):
         raise InvalidArgument(f"{whole.path}: there are no instances to export")
     about = {"format": to, "data": _digest(chosen), "category": chosen.category}
-    target = Target(Path(out), about, options)
-    try:
-        if not target.complete:
-            _write(chosen, to, target, jobs or default_jobs(), on_item)
-    except BaseException:
-        target.withdraw()
-        raise
-    finally:
-        target.close()
+    folder = Path(out)
+    is_new = not folder.exists()
+    with locked(folder):
+        target = Target(folder, about, options)
+        try:
+            if not target.complete:
+                _write(chosen, to, target, jobs or default_jobs(), on_item)
+        except BaseException:
+            target.withdraw(is_new=is_new)
+            raise
     files = target.written
     left_out = tuple(done.left_out for done in target.done.values() if done.left_out)
     return Exported(target.folder, len(files), sum(file.bytes for file in files), left_out)

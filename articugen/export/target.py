@@ -18,7 +18,6 @@ from articugen.core.errors import ArticugenError, MachineFault
 from articugen.core.files import (
     UnfitFile,
     cannot_write,
-    lock_folder,
     make_folder,
     read_regular,
     sha256_of,
@@ -141,34 +140,28 @@ class Files:
 
 
 class Target(Files):
-    """A folder that one export, and no other, writes to.
+    """A folder that one export, and no other, writes to: whoever makes this keeps it `locked`.
 
     Attributes:
         done: by the item's key.
     """
 
     def __init__(self, folder: Path, about: Mapping[str, Any], options: Options) -> None:
-        """Take the folder, which may hold a part of the same export.
+        """Take the folder, which is there and may hold a part of the same export.
 
         Args:
             about: what distinguishes this export from others: format, data, options.
 
         Raises:
-            ArticugenError: it holds something else, or another process exports into it.
+            ArticugenError: it holds something else.
             MachineFault: it cannot be written to.
         """
         super().__init__(folder, options)
         self.done: dict[str, Done] = {}
         self.complete = False
         self._about = {**about, "options": asdict(options)}
-        self._is_new = not folder.exists()
         self._ledger = Ledger(Folder(folder))
-        self._lock: int | None = lock_folder(folder)
-        try:
-            self._resume(set(os.listdir(folder)))
-        except BaseException:
-            self.close()
-            raise
+        self._resume(set(os.listdir(folder)))
 
     def _resume(self, names: set[str]) -> None:
         """Read what is finished already, and remove what a killed run was writing."""
@@ -227,18 +220,12 @@ class Target(Files):
             if whole_name(path.name) and path.is_file():
                 path.unlink(missing_ok=True)
 
-    def close(self) -> None:
-        """Let others into the folder."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
-
-    def withdraw(self) -> None:
+    def withdraw(self, *, is_new: bool) -> None:
         """Leave nothing if nothing was written: no ledger, and no folder that was not there."""
         with suppress(OSError, ArticugenError):
             if os.listdir(self.folder) == [LEDGER]:
                 self._ledger.seal(())
-                if self._is_new:
+                if is_new:
                     self.folder.rmdir()
 
     def finished(self, item: str, files: Sequence[Written], left_out: str | None) -> None:
