@@ -293,13 +293,6 @@ def test_a_disk_that_does_not_answer_is_no_fault_of_the_recipe(tmp_path, monkeyp
         load_recipe(written(tmp_path, "objects: 1"), "laptop")
 
 
-def test_a_recipe_that_extends_itself_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "loop.yaml"
-    written(tmp_path, f"extends: {path}", "loop.yaml")
-    with pytest.raises(InvalidRecipe, match="extends itself"):
-        load_recipe(path, "laptop")
-
-
 def test_text_and_hash_depend_on_the_meaning_alone(tmp_path: Path) -> None:
     one = load_recipe(
         written(tmp_path, "name: a\nobjects: 3\nfusion: {truncation: 1.0e-2}", "one.yaml"), "laptop"
