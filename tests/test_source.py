@@ -187,13 +187,18 @@ def test_own_source_with_lists_of_ids(own_sources, tmp_path):
         open_source("mine").objects("lamp", ids=["q"])
 
 
-def test_a_folder_has_one_name_however_its_path_ends(tmp_path):
+def test_a_folder_has_one_name_however_its_path_ends(tmp_path, monkeypatch):
     add(tmp_path / "plain" / "lamp" / "a.urdf")
     add(tmp_path / "own" / "lamp" / "a.urdf")
     add(
         tmp_path / "own" / "source.yaml",
         "{origin: x, licence: x, frame: x, categories: {lamp: {}}}",
     )
+    add(tmp_path / "procedural" / "lamp" / "a.urdf")  # as a source is called
+    monkeypatch.chdir(tmp_path)
+    for source in ("./procedural", Path("procedural"), "procedural/"):
+        job, *_ = jobs_of(Options("lamp", source))
+        assert job.source == open_source(job.source).objects("lamp")[0].source == "./procedural"
     for folder in (tmp_path / "plain", tmp_path / "own"):
         job, *_ = jobs_of(Options("lamp", f"{folder}/./"))
         assert job.source == str(folder) == open_source(job.source).objects("lamp")[0].source

@@ -141,12 +141,8 @@ class Training:
         """Return a new run's folder, which says what it is trained on."""
         first, *others = self._described()
         data = first | ({"also": others} if others else {})
-        about = {
-            "category": self.category,
-            "seed": self.seed,
-            "recipe_sha256": self.recipe.sha256(),
-        }
-        return RunFolder.new(self.runs, self.name, self.recipe, **about, data=data)
+        about = {"category": self.category, "seed": self.seed, "data": data}
+        return RunFolder.new(self.runs, self.name, self.recipe, **about)
 
     def resumed(self, path: Path) -> tuple[RunFolder, Checkpoint | None]:
         """Return a run's folder, and where it stands if it has a checkpoint yet.

@@ -193,7 +193,7 @@ class RunFolder:
         """Make a folder under `runs`, the next number or `name`.
 
         Args:
-            about: what run.json says of `category`, `seed`, `recipe_sha256` and `data`.
+            about: what run.json says of `category`, `seed` and `data`.
         """
         taken = (int(p.name) for p in runs.glob("*") if p.name.isdecimal())
         path = runs / (name or f"{max(taken, default=-1) + 1:03d}")
@@ -204,7 +204,7 @@ class RunFolder:
             if isinstance(error, FileExistsError) and not name:  # another run was faster
                 return RunFolder.new(runs, name, recipe, **about)
             raise ArticugenError(f"{path}: cannot be made ({error.strerror})") from None
-        about |= {"articugen": VERSION, "commit": this_commit()}
+        about |= {"recipe_sha256": recipe.sha256(), "articugen": VERSION, "commit": this_commit()}
         about |= {"torch": torch.__version__, "machine": this_machine()}
         write_atomically(path / "recipe.yaml", recipe.text().encode())
         write_atomically(path / "run.json", (json.dumps(about, indent=1) + "\n").encode())

@@ -1,6 +1,5 @@
 """What the command `generate` does, as a function that a notebook calls."""
 
-import os
 from pathlib import Path
 
 from articugen.core.errors import ArticugenError, InvalidArgument
@@ -23,7 +22,7 @@ _OF_RECIPE = ("objects", "states", "max_rejected", "movable", "canonical")
 def jobs_of(options: Options, share: Share | None = None) -> list[Job]:
     """Return the data sets that are asked for, one a category; ArticugenError if there is no such
     source, category, object or recipe."""
-    opened, out = open_source(os.fspath(options.source)), options.out
+    opened, out = open_source(options.source), options.out
     wanted = [options.category] if isinstance(options.category, str) else options.category
     names = opened.categories(wanted)
     if options.scheduler and is_url(out):

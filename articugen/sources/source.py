@@ -334,7 +334,7 @@ class Source:
         return settings.train, settings.test
 
 
-def open_source(source: str | Path) -> Source:
+def open_source(source: str | os.PathLike[str]) -> Source:
     """Open a source.
 
     Args:
@@ -348,17 +348,19 @@ def open_source(source: str | Path) -> Source:
         raise InvalidSource(
             f"{printable(str(source))}: its name has control characters or is not UTF-8; rename it"
         )
-    yaml = named or Path(source, "source.yaml")
+    yaml, name = named or Path(source, "source.yaml"), str(source if named else Path(source))
+    if not named and name in source_files():
+        name = os.path.join(os.curdir, name)  # opened by it, it is the same folder again
     if os.path.isfile(yaml):
-        name, file = str(source if named else Path(source)), read_source_file(yaml)
-        users, folder = users_folder(), yaml.parent / (file.path or "")
+        file, users = read_source_file(yaml), users_folder()
+        folder = yaml.parent / (file.path or "")
         if named and not file.path and users and (users / name).is_dir():
             folder = users / name
         return Source(name, folder, yaml, file)
     if not os.path.exists(source):
         absent = unlisted("source", str(source), sorted(source_files()))
         raise InvalidSource(f"{absent}, or the path of a folder of URDFs")
-    return Source(str(Path(source)), Path(source), None, common_categories())
+    return Source(name, Path(source), None, common_categories())
 
 
 def named_sources() -> list[Source]:
