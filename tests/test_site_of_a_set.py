@@ -144,7 +144,7 @@ def test_objects_are_searched_opened_and_linked_to_offline(chromium: Any, made: 
     tab.select_option("nav.tools select", "test/b")
     tab.wait_for_selector(".viewer[data-ready] >> nth=1")
     tab.keyboard.press("Escape")
-    assert tab.is_visible(".wall")
+    tab.wait_for_selector(".wall")  # the address changes first, then what is shown
     assert faults == []
     again, faults = opened(chromium, link, PHONE, 1)
     found = again.evaluate("articugen.opened()[0].view.get()")
