@@ -65,7 +65,7 @@ def about(wanted: list[Key]) -> CommonPlan:
 
 def records_in(folder: Path, wanted: list[Key] | None = None) -> Records:
     records = Records(Folder(folder))
-    records.expect(about(wanted or keys()), [], [])
+    records.expect(about(wanted or keys()), [], [], "MIT")
     return records
 
 
@@ -459,7 +459,7 @@ def test_shards_that_another_process_has_recorded_are_no_orphans(complete, tmp_p
     """As with an array of SLURM, whose tasks record what the run that ends it has not made."""
     with Records(Folder(tmp_path), is_shared=True) as records:
         names = [(k.split, k.object_id) for k in keys()]
-        records.expect(about(keys()), names, names)
+        records.expect(about(keys()), names, names, "MIT")
         shards = records.shard_names(keys())
         records.begin(shards.values())
         outcomes = [make(tmp_path, k, shards[k]) for k in keys()]

@@ -334,6 +334,30 @@ def test_a_changed_model_is_made_again_alone(boxes: Path, tmp_path: Path) -> Non
     assert verify(ours.out).findings == ()
 
 
+def test_a_folder_named_otherwise_is_the_same_and_another_folder_is_not(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shards and manifest name the source and its licence, and must all name the same."""
+    models = tmp_path / "models"
+    shutil.move(boxes, models / "box")
+    yaml = "{origin: us, licence: %s, frame: any, clip_to_limits: false, categories: {box: {}}}"
+    (models / "source.yaml").write_text(yaml % "X")
+    ours = job(tmp_path / "out", source=str(models), category="box", ids=("box0", "box1"))
+    made(ours)
+    monkeypatch.chdir(tmp_path)
+    manifest, reports = made(replace(ours, source="models", ids=("box0", "box1", "box2")))
+    assert [report.reused for report in reports] == [True, True, False]
+    assert manifest.source == str(models)
+    moved = replace(ours, source=str(shutil.copytree(models, tmp_path / "moved")))
+    assert {t.why for t in planned(moved).tasks} == {f"the source was {models}, is {moved.source}"}
+    with started(moved) as run, pytest.raises(ArticugenError, match="2 since the source"):
+        run.check_replaces(replace=False, cure="")
+    (models / "source.yaml").write_text(yaml % "Y")
+    assert {t.why for t in planned(ours).tasks} == {"the licence was X, is Y"}
+    made(ours)
+    assert verify(ours.out).findings == ()
+
+
 def test_planning_makes_nothing_of_meshes(boxes, tmp_path, monkeypatch):
     """They are digested, as sound models are when they are made; unsound ones are tried once."""
     mesh = '<mesh filename="lid.obj"/>'
@@ -421,6 +445,19 @@ def test_objects_without_area_are_rejected_and_such_parts_are_empty(boxes, tmp_p
     entry = next(o for o in manifest.objects if o.key.object_id == "box0")
     with open_shard(ours.out / entry.shard) as shard:
         assert not shard.instance(1).surface_part.any()
+
+
+def test_faces_without_area_count_for_no_frame(boxes: Path, tmp_path: Path) -> None:
+    ours, frames = job(tmp_path / "out", source=str(boxes), category="box", ids=("box0",)), []
+    box = '<geometry><box size="1e-9 1e-9 1e-9"/></geometry>'
+    for stray in ("", f'<visual><origin xyz="9 0 0"/>{box}</visual>'):
+        model = BOX.format(size=1).replace("</link>", f"{stray}\n</link>", 1)
+        (boxes / "box0.urdf").write_text(model)
+        made(ours)
+        row = articugen.open(ours.out)[0]
+        frames.append((row.scale, *row.center))
+    assert frames[0] == frames[1]
+    assert verify(ours.out).findings == ()
 
 
 def test_a_file_where_a_folder_must_be_stops_the_run_and_rejects_nothing(whole, tmp_path):

@@ -24,7 +24,7 @@ STAGES = {
     "fusion": 1,
     "sampling": 1,
     "sharp": 2,  # of recipes that ask for sharp points alone
-    "instance": 1,  # how the stages are put together: frames, counts, what is drawn from what
+    "instance": 2,  # how the stages are put together: frames, counts, what is drawn from what
     "vocabulary": 1,  # geometry, portable, records, seeding: what all of them compute with
 }
 

@@ -20,6 +20,7 @@ from articugen.fusion.parts import SolidPart as SolidPart
 from articugen.fusion.parts import seen_alone as seen_alone
 from articugen.fusion.parts import solid_part as solid_part
 from articugen.fusion.reachable import touched as touched
+from articugen.fusion.solidify import NO_AREA as NO_AREA
 from articugen.fusion.solidify import closed_piece as closed_piece
 from articugen.fusion.solidify import face_areas as face_areas
 from articugen.fusion.solidify import face_normals as face_normals

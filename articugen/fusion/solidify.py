@@ -24,6 +24,8 @@ from articugen.core.jit import helper, kernel, root
 from articugen.core.portable import arctan2, dot, norm
 from articugen.core.records import DepthMaps, LabelledMesh
 
+NO_AREA = 1e-12  # unit frame; faces have more
+
 SAMPLE_AREA = 0.02**2
 MOST_SAMPLES = 16
 SHEET_SHARE = 1.0 / 3.0
@@ -86,7 +88,7 @@ def unrepeated(mesh: LabelledMesh) -> Indices:
     first = np.sort(np.unique(key[solid], return_index=True)[1])
     keep = np.flatnonzero(solid)[first]
     areas = face_areas(mesh.vertices, mesh.faces[keep])
-    return keep[areas > 1e-12]
+    return keep[areas > NO_AREA]
 
 
 def origins(mesh: LabelledMesh, origin: Indices, soup: LabelledMesh) -> Indices:

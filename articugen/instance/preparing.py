@@ -197,11 +197,7 @@ def _prepared(
     canonical = articulation.forward_kinematics(obj, states[0])
     motions = articulation.motions_of(obj, (*states, *reach), canonical)
     world = canonical_mesh(obj, canonical)
-    box = swept_box(world, motions[: len(states)])
-    extent = float(np.max(box[1] - box[0]))
-    if not extent > 0.0:
-        raise RejectedInstance("the object has no extent: all its vertices coincide")
-    unit = Normalization(box.mean(axis=0), extent / (1.0 - recipe.padding))
+    unit = _unit_frame(world, motions[: len(states)], recipe.padding)
     soup = LabelledMesh(unit.to_unit(world.vertices), world.faces, world.part_of_face)
 
     parts = [solid_part(soup.part(k), recipe) for k in range(obj.part_count)]
@@ -228,6 +224,22 @@ def _prepared(
         grids={r: Grid.of(r, solids[0], recipe) for r in recipe.sampling.grids},
         extras=_extras(mesh, solids, bvh, swept, recipe, rng, paint),
     )  # fmt: skip
+
+
+def _unit_frame(world: LabelledMesh, motions: Floats, padding: float) -> Normalization:
+    """Return the frame that holds the faces in all poses, but for those that have no area in it."""
+    counted = world
+    while True:
+        box = swept_box(counted, motions)
+        extent = float(np.max(box[1] - box[0]))
+        if not extent > 0.0:
+            raise RejectedInstance("the object has no extent: all its vertices coincide")
+        unit = Normalization(box.mean(axis=0), extent / (1.0 - padding))
+        areas = fusion.face_areas(unit.to_unit(world.vertices), world.faces)
+        some = areas > fusion.NO_AREA
+        if np.count_nonzero(some) in (0, len(counted.faces)):
+            return unit
+        counted = LabelledMesh(world.vertices, world.faces[some], world.part_of_face[some])
 
 
 def _small_note(

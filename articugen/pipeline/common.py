@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import count
 
 from pydantic import ValidationError
@@ -95,25 +95,6 @@ def with_free_names(names: dict[Key, str], keys: Sequence[Key]) -> dict[Key, str
             names[key] = next(name for name in places if name not in taken)
             taken.add(names[key])
     return names
-
-
-def differences(
-    outcomes: Mapping[Name, Outcome],
-    wanted: Mapping[Name, Key],
-    names: Mapping[Name, str] | None = None,
-) -> Iterator[tuple[Name, str]]:
-    """Yield the objects whose shards are not what a run for these keys wants, and why. Of those who
-    share out the objects, which may want more than these, `names` are all shards' names."""
-    for name, outcome in outcomes.items():
-        if outcome.shard is None:
-            continue
-        why = "this run does not ask for it" if names is None else None
-        if names is not None and outcome.shard.name != names.get(name):
-            why = "its shard is called otherwise than ranks call it"
-        elif name in wanted:
-            why = wanted[name].difference(outcome.key)
-        if why:
-            yield name, why
 
 
 def record_in(ledger: Ledger, outcome: Outcome) -> None:

@@ -2,6 +2,8 @@
 
 import os
 import re
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from articugen.core.errors import ArticugenError, CorruptShard, MachineFault, machine_fault
@@ -63,6 +65,14 @@ def is_whole(folder: Path, outcome: Outcome, *, sizes_only: bool) -> bool:
         if fault := machine_fault(error):
             raise fault from error
         return False
+
+
+def called_otherwise(path: Path, terms: Mapping[str, str]) -> str | None:
+    """Return which of a shard's attributes are not these, in words; None for a damaged one too."""
+    with suppress(CorruptShard), open_shard(path) as shard:
+        was = shard.attributes
+        other = [f"the {n} was {was[n]}, is {now}" for n, now in terms.items() if was[n] != now]
+        return " and ".join(other) or None
 
 
 def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:

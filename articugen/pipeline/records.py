@@ -10,7 +10,7 @@ import fcntl
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 
 from pydantic import ValidationError
@@ -23,13 +23,13 @@ from articugen.pipeline.common import (
     NEVER_MADE,
     CommonPlan,
     Name,
-    differences,
     key_of,
     record_in,
     shard_names,
     with_free_names,
 )
 from articugen.pipeline.folder import (
+    called_otherwise,
     check_is_not_of_before,
     is_of_plan,
     is_shard_of_ours,
@@ -91,6 +91,7 @@ class Records(AbstractContextManager["Records"]):
         self._folder = place.path if isinstance(place, Folder) else None
         self._sizes_only = sizes_only
         self._about: CommonPlan | None = None
+        self._terms: dict[str, str] = {}
         self._names: dict[Name, str] = {}
         self.outcomes: dict[Name, Outcome] = {}
         self._recorded: set[str] = set()
@@ -122,11 +123,16 @@ class Records(AbstractContextManager["Records"]):
 
     # --- what is there
 
-    def expect(self, about: CommonPlan, names: Sequence[Name], ours: Sequence[Name]) -> None:
-        """Take what is to be made, the names of all objects and those of this share; ArticugenError
-        if other processes make something else here."""
+    def expect(
+        self, about: CommonPlan, names: Sequence[Name], ours: Sequence[Name], licence: str
+    ) -> None:
+        """Take what is to be made, the names of all objects and those of this share, and the
+        source's licence; ArticugenError if other processes make something else here."""
         self._about = about
         if not self.is_shared:
+            terms = {"source": about.source, "licence": licence}
+            whole = self.manifest and {name: getattr(self.manifest, name) for name in terms}
+            self._terms = {} if whole == terms else terms
             return
         self._names = shard_names(names)
         if self.agreed:
@@ -149,7 +155,7 @@ class Records(AbstractContextManager["Records"]):
             return "its record is damaged" if is_damaged else NEVER_MADE
         if outcome.failed is not None:
             return f"it failed ({outcome.failed.reason})"
-        difference = key.difference(outcome.key)
+        difference = self._difference(key, outcome)
         if difference is not None or outcome.shard is None:
             return difference
         is_whole = self._is_trusted(outcome)
@@ -170,13 +176,13 @@ class Records(AbstractContextManager["Records"]):
         """Return one sentence, where the place holds data that a run for `keys` would replace."""
         wanted = {key.name: key for key in keys}
         if self.is_shared:
-            first = next(differences(self.outcomes, wanted, self._names), None)
+            first = next(self._differences(wanted), None)
             return first and (
                 f"{self.place}: holds shards of another data set ({first[0][1]}, for one: "
                 f"{first[1]}), and processes that share out objects replace nothing; choose "
                 "another output folder"
             )
-        reasons = Counter(why for _, why in differences(self.outcomes, wanted))
+        reasons = Counter(why for _, why in self._differences(wanted))
         if not reasons:
             return None
         why = ", ".join(f"{count} since {reason}" for reason, count in reasons.most_common())
@@ -184,6 +190,27 @@ class Records(AbstractContextManager["Records"]):
             f"{self.place}: {reasons.total()} shards of an earlier run will be replaced or "
             f"removed ({why}); choose another output folder, which keeps them"
         )
+
+    def _differences(self, wanted: Mapping[Name, Key]) -> Iterator[tuple[Name, str]]:
+        """Yield the objects whose shards are not what a run for these keys wants, and why; those
+        who share out the objects may want more than these."""
+        for name, outcome in self.outcomes.items():
+            if outcome.shard is None:
+                continue
+            why = None if self.is_shared else "this run does not ask for it"
+            if self.is_shared and outcome.shard.name != self._names.get(name):
+                why = "its shard is called otherwise than ranks call it"
+            elif name in wanted:
+                why = self._difference(wanted[name], outcome)
+            if why:
+                yield name, why
+
+    def _difference(self, key: Key, outcome: Outcome) -> str | None:
+        """Return why an outcome will not do for a key, though its shard may be whole."""
+        why = key.difference(outcome.key)
+        if why or not (self._terms and self._folder and outcome.shard):
+            return why
+        return called_otherwise(self._folder / outcome.shard.name, self._terms)
 
     def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:
         """Return a shard's name for each object: the one it has where it is finished, else a free

@@ -6,6 +6,7 @@ has it to itself; processes that share out the objects plan the whole, each make
 whoever finds all of it recorded writes the manifest: `merge` is a run's end without an executor.
 """
 
+import os
 import random
 import resource
 import sys
@@ -27,7 +28,7 @@ from articugen.pipeline.options import ObjectReport, OnNotice, OnObject, ignore
 from articugen.pipeline.plan import Plan, name_of_ref, objects_of, plan_for
 from articugen.pipeline.records import Records
 from articugen.sources.refs import ObjectRef
-from articugen.sources.source import open_source
+from articugen.sources.source import Source, open_source
 from articugen.store import croissant
 from articugen.store.bucket import Remote, check_can_be_shared
 from articugen.store.manifest import UNMADE, Manifest, Timings
@@ -69,11 +70,25 @@ def started(job: Job, *, command: str = "") -> Iterator["Run"]:
     job = replace(job, recipe=job.recipe.for_source(clips_to_limits=source.clips))
     lease = limit_of(job.recipe).seconds + MARGIN_SECONDS
     with Records(job.place, is_shared=job.is_shared, lease=lease) as records:
+        source = _as_before(source, records)
+        job = replace(job, source=source.name)
         refs = objects_of(job, source)
         about = common_plan(job, refs, command)
         ours = [r for n, r in enumerate(refs) if job.share is None or job.share.has(n)]
-        records.expect(about, list(map(name_of_ref, refs)), list(map(name_of_ref, ours)))
+        names = list(map(name_of_ref, refs)), list(map(name_of_ref, ours))
+        records.expect(about, *names, source.licence)
         yield Run(job, records, plan_for(job, records, ours), len(refs), source.licence)
+
+
+def _as_before(source: Source, records: Records) -> Source:
+    """Return the source as an earlier run here called it, where that is the same folder."""
+    before = records.manifest or records.agreed
+    with suppress(ArticugenError, OSError):
+        earlier = open_source(before.source) if before else source
+        alike = earlier.file == source.file and (earlier.yaml is None) == (source.yaml is None)
+        if alike and os.path.samefile(earlier.folder, source.folder):
+            return earlier
+    return source
 
 
 @dataclass(frozen=True)
