@@ -12,6 +12,7 @@ from articugen.evaluation import metrics
 from articugen.evaluation.matched import joint_errors, matching, pose_errors
 from articugen.evaluation.metrics import NO_LABEL
 from articugen.evaluation.reconstruction import truth
+from articugen.evaluation.tally import Protocol, Tally
 
 EACH = np.arange(3)
 """Every true part with its own number."""
@@ -70,6 +71,12 @@ def test_a_part_that_no_point_shows_is_not_counted(boxes):
     predicted, iou = matching(np.repeat([0, 1], 9), np.repeat([0, 1], 9), instance, 3)
     assert predicted.tolist() == [0, 1, NO_LABEL]
     np.testing.assert_array_equal(iou, [1.0, 1.0, np.nan])
+    hidden = boxes[0], with_points(boxes[1], 500, 500, 0)
+    assert "matched_state_length" not in joints(hidden, truth(hidden[1]))
+    tally = Tally(Protocol(), np.eye(3))
+    tally.at(hidden[1])
+    tally.measure(hidden[1], truth(hidden[1]), (boxes[0], truth(boxes[0])))
+    assert {state.joint for state in tally.joint_states + tally.joint_errors} == {0}
 
 
 def test_a_part_turned_in_its_place_is_off_by_the_angle(boxes):

@@ -95,11 +95,11 @@ def joint_errors(
     label = np.full(predicted[1].parts, NO_LABEL)
     there = np.flatnonzero(matched != NO_LABEL)
     label[matched[there]] = there
-    both = joints_of(*predicted, kinds_of(label, instance))
+    both = joints_of(*predicted, *hung(label, instance))
     if both is None:
         return
     (first, joints), fitted = both, predicted[1].joints is None
-    for j, kind in enumerate(instance.joint_kind.tolist()):
+    for j, kind in shown_joints(instance):
         i, true_axis = int(matched[j + 1]), instance.joint_axis[j]
         revolute = kind == JointKind.REVOLUTE
         true_change = float(instance.joint_state[j] - canonical.joint_state[j])
@@ -116,8 +116,8 @@ def joint_errors(
         state = abs(change - true_change)
         if not fitted or abs(true_change) >= STILL[kind]:
             yield "matched_direction_degrees", direction
-        points = dequantize(instance.surface_points[instance.surface_part == j + 1])
-        if not fitted and len(points):
+        if not fitted:
+            points = dequantize(instance.surface_points[instance.surface_part == j + 1])
             yield "matched_motion", motions_apart(truth, ends, points)
         if revolute:
             if not fitted:
@@ -127,10 +127,19 @@ def joint_errors(
             yield "matched_state_length", state
 
 
-def kinds_of(label: Ints, instance: Instance) -> Ints:
-    """Return (P,) the kind of the joint that each predicted part moves by, from the true parts that
-    these stand for (P,)."""
-    kind = np.full(len(label), int(JointKind.FIXED))
+def shown_joints(instance: Instance) -> list[tuple[int, int]]:
+    """Return the number and the kind of each joint whose part has surface points."""
+    shown = np.isin(np.arange(len(instance.joint_kind)) + 1, instance.surface_part)
+    return [(j, kind) for j, kind in enumerate(instance.joint_kind.tolist()) if shown[j]]
+
+
+def hung(label: Ints, instance: Instance) -> tuple[Ints, Ints]:
+    """Return (P,) the kind of the joint that each predicted part moves by, and (P,) the first
+    predicted part of those that carry it, from the true parts that these stand for (P,)."""
+    kind, carrier = np.full(len(label), int(JointKind.FIXED)), np.zeros(len(label), int)
     for j, of_joint in enumerate(instance.joint_kind.tolist()):
         kind[label == j + 1] = of_joint
-    return kind
+        parent = int(instance.joint_parent[j])
+        if parent and (label == parent).any():
+            carrier[label == j + 1] = (label == parent).argmax()
+    return kind, carrier

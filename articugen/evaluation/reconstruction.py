@@ -83,14 +83,18 @@ class Reconstruction:
 
 
 def joints_of(
-    first: Reconstruction, posed: Reconstruction, kind: NDArray[np.int64]
+    first: Reconstruction,
+    posed: Reconstruction,
+    kind: NDArray[np.int64],
+    carrier: NDArray[np.int64],
 ) -> tuple[PartJoints, PartJoints] | None:
     """Return the joints of one object in two poses: those that the method predicts or, where it
-    knows motions alone, those that take part 0 for the base: state 0 in the first pose, in the
-    other how far each part has turned or slid, and along which direction; pivots are nan.
+    knows motions alone, state 0 in the first pose, in the other how far each part has turned or
+    slid against what carries it, and along which direction; pivots are nan.
 
     Args:
-        kind: (P,) of the joint that each part is known to hang on.
+        kind: (P,) of the joint that each part is known to hang on; `carrier` (P,) the part that
+            carries it.
     """
     if first.joints is not None and posed.joints is not None:
         return first.joints, posed.joints
@@ -98,12 +102,14 @@ def joints_of(
     if motion is None:
         return None
     state, direction = np.zeros(len(kind)), np.tile([0.0, 0.0, 1.0], (len(kind), 1))
-    for i, T in enumerate(invert_rigid(motion[0]) @ motion):
+    carried = invert_rigid(motion[0]) @ motion[carrier]
+    for i, T in enumerate(invert_rigid(motion[carrier]) @ motion):
         if kind[i] == JointKind.REVOLUTE:
             state[i], direction[i] = turn_of(T[:3, :3])
         elif kind[i] == JointKind.PRISMATIC and T[:3, 3].any():
             state[i] = np.linalg.norm(T[:3, 3])
             direction[i] = T[:3, 3] / state[i]
+        direction[i] = carried[i, :3, :3] @ direction[i]
     pivot = np.full_like(direction, np.nan)
     before = PartJoints(kind, np.zeros(len(kind)), pivot, direction)
     return before, PartJoints(kind, state, pivot, direction)

@@ -12,7 +12,14 @@ from articugen.core.records import Floats, JointKind, dequantize, is_material
 from articugen.core.schema import Instance
 from articugen.core.seeding import generator
 from articugen.evaluation import metrics
-from articugen.evaluation.matched import STILL, joint_errors, kinds_of, matching, pose_errors
+from articugen.evaluation.matched import (
+    STILL,
+    hung,
+    joint_errors,
+    matching,
+    pose_errors,
+    shown_joints,
+)
 from articugen.evaluation.metrics import DIAGONAL, NO_LABEL, Ints
 from articugen.evaluation.reconstruction import Reconstruction, joints_of
 from articugen.evaluation.results import Evaluation, JointError, JointState, Kind, Measures
@@ -152,7 +159,7 @@ class Tally:
     def _note_joint_states(self, instance: Instance, shape: Reconstruction) -> None:
         if shape.joints is None:
             return
-        for j, kind in enumerate(instance.joint_kind.tolist()):
+        for j, kind in shown_joints(instance):
             parts = np.flatnonzero((self.dominant == j + 1) & (shape.joints.kind == kind))
             predicted = float(shape.joints.state[parts[0]]) if len(parts) else None
             true = float(instance.joint_state[j])
@@ -180,12 +187,12 @@ class Tally:
         what has hardly moved shows no direction.
         """
         canonical, instance = instances
-        both = joints_of(*predicted, kinds_of(self.labels, instance))
+        both = joints_of(*predicted, *hung(self.labels, instance))
         if both is None:
             return
         first, joints = both
         fitted = predicted[1].joints is None
-        for j, kind in enumerate(instance.joint_kind.tolist()):
+        for j, kind in shown_joints(instance):
             parts = np.flatnonzero(self.labels == j + 1)
             same = len(parts) == 1 and int(first.kind[parts[0]]) == kind
             true_change = float(instance.joint_state[j] - canonical.joint_state[j])
