@@ -226,7 +226,7 @@ def _plan_driver(
     if patterns and _pattern_of(obj, joint, patterns) == len(patterns):
         return _Plan(value, remarks=(*remarks, "locked, not among the movable joints"))
     if not joint.lower - _TIE <= value <= joint.upper + _TIE:
-        remarks.append("canonical pose outside the limits of the URDF")
+        remarks.append("canonical pose outside the limits of the model")
     sign, lower, upper = _sampled_range(joint, value, settings)
     if lower == upper == 0.0:
         return _Plan(value, remarks=(*remarks, "locked, its range is empty"))
@@ -234,7 +234,7 @@ def _plan_driver(
         remarks.append("axis turned around, more room on that side of the canonical pose")
     ends = (value + sign * lower, value + sign * upper)
     if min(ends) < joint.lower - _TIE or max(ends) > joint.upper + _TIE:
-        remarks.append("sampled beyond the limits of the URDF, as the recipe says")
+        remarks.append("sampled beyond the limits of the model, as the recipe says")
     return _Plan(value, sign, lower, upper, moves=True, remarks=tuple(remarks))
 
 
@@ -289,7 +289,7 @@ def _plan_follower(by_name: Mapping[str, Joint], joint: Joint, plans: dict[str, 
         upper=abs(multiplier) * plan.upper,
         moves=True,
         mimic=Mimic(driver, abs(multiplier), 0.0),
-        remarks=("beyond the limits of the URDF, where another joint takes it",) * bool(beyond),
+        remarks=("beyond the limits of the model, where another joint takes it",) * bool(beyond),
     )
 
 
