@@ -111,7 +111,7 @@ def forget_plugins() -> Callable[[], None]:
     """Has installed plugins looked up again."""
 
     def forget() -> None:
-        for cached in (plugins._found, plugins._load, plugins._load_all):
+        for cached in (plugins._found, plugins._load, plugins.Table.load_all):
             cached.cache_clear()
 
     return forget

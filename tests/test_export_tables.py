@@ -9,7 +9,6 @@ import pytest
 import yaml
 from exports import name_of
 from instances import hinged_box, without_knob
-from PIL import Image, ImageSequence
 from ppd_data import shard
 from python_process import printed
 from test_html_report import named
@@ -45,7 +44,7 @@ def test_parquet_in_datasets(exported, rows, tmp_path, datasets):
 
 
 def test_the_hub_s_folder_streams_and_shows_pictures(exported, rows, datasets):
-    """As `hf upload` takes it: a picture first, a card that names splits and counts, a preview."""
+    """As `hf upload` takes it: a picture first, a card that names splits and counts."""
     folder = exported("parquet")
     stream = datasets.load_dataset(str(folder), split="train", streaming=True)
     assert next(iter(stream.features)) == "image"
@@ -64,12 +63,6 @@ def test_the_hub_s_folder_streams_and_shows_pictures(exported, rows, datasets):
     (config,) = about["configs"]
     assert [files["split"] for files in config["data_files"]] == ["train", "test"]
     assert f"| train | {len(train.objects)} | {len(train)} |" in card
-    with Image.open(folder / "preview.gif") as preview:
-        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(preview)]
-    assert len(frames) == 16
-    moved = [(frame != frames[0]).any(axis=2).sum() for frame in frames]
-    assert moved[8] > 1000
-    assert moved[1:] == moved[:0:-1]  # there and back
 
 
 def test_parquet_without_a_surface_has_no_picture(tmp_path):
@@ -85,7 +78,6 @@ def test_parquet_without_a_surface_has_no_picture(tmp_path):
     ag.export(folder, "parquet", tmp_path / "out")
     (file,) = (tmp_path / "out").glob("data/*.parquet")
     assert parquet.read_table(file)["image"].null_count == len(bare)
-    assert "preview" not in (tmp_path / "out" / "README.md").read_text()
 
 
 def test_parquet_of_objects_with_unlike_numbers_of_joints_in_datasets(tmp_path, datasets):

@@ -376,22 +376,6 @@ def test_a_record_and_a_plan_may_hold_anything(tmp_path, line, monkeypatch):
     assert run(tmp_path, keys()) == ["box-0", "box-1", "box-2", LAST]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        ".articugen-plan.json",
-        ".articugen-journal.jsonl",
-        ".articugen-journal.1-of-2.0a0b0c0d.jsonl",
-    ],
-)
-def test_what_an_earlier_version_left_unfinished_is_refused(tmp_path, name):
-    (tmp_path / name).write_text("{}")
-    with pytest.raises(ArticugenError, match=f"earlier version .* delete {name} and the shards"):
-        run(tmp_path, keys())
-    (tmp_path / name).unlink()
-    assert len(run(tmp_path, keys())) == 4
-
-
 @pytest.mark.parametrize("kind", ["FIFO", "folder", "device", "link", "round link", "too large"])
 def test_kind_and_size_are_looked_at_before_reading(tmp_path, kind):
     path = tmp_path / "box" / MANIFEST_NAME

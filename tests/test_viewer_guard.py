@@ -142,11 +142,3 @@ def test_a_viser_that_serves_otherwise_does_not_serve(data: str, monkeypatch) ->
         served(source_of(data)),
     ):
         pass
-
-
-def test_the_page_is_dark_where_the_system_is(here) -> None:
-    host = f"127.0.0.1:{port_of(here)}"
-    _, text = page(here, ("Host", host))
-    _, packed = page(here, ("Host", host), ("Accept-Encoding", "gzip"))
-    assert text == packed
-    assert text.index("prefers-color-scheme: dark") < text.index("data-p=")

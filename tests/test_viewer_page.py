@@ -150,19 +150,6 @@ def test_on_a_phone_the_object_stands_above_the_controls(chromium: Any, cabinet:
     other.close()
 
 
-def test_it_is_dark_where_the_system_is(chromium: Any, cabinet: Served) -> None:
-    tab = chromium.new_context(viewport=WINDOW, color_scheme="dark").new_page()
-    tab.set_default_timeout(PATIENCE)
-    tab.goto(f"{cabinet.url}/?{SHARP}")
-    tab.wait_for_selector("text=as it is stored")
-    corner = (
-        Image.open(io.BytesIO(tab.screenshot())).convert("L").getpixel((3, WINDOW["height"] - 3))
-    )
-    assert isinstance(corner, int)
-    assert corner < 60
-    tab.close()
-
-
 def test_hostile_names_are_text_and_many_objects_no_trouble(viser, chromium, tmp_path):
     few = {"grids": (8,), "surface_points": 256, "uniform_points": 64, "near_points": 256}
     recipe = SMALL.model_copy(update={"sampling": SMALL.sampling.model_copy(update=few)})

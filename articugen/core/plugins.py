@@ -54,9 +54,16 @@ class Table:
         value = self.ours[name]
         return EntryPoint(name, value, self.group).load() if isinstance(value, str) else value
 
+    @cache  # noqa: B019 - of a few tables, which stay
     def load_all(self) -> dict[str, Any]:
         """Load all that can be loaded, by name, without `ours`; what cannot is logged."""
-        return _load_all(self)
+        usable = {}
+        for name, point in _found(self).items():
+            try:
+                usable[name] = _load(self, point)
+            except BrokenPlugin as broken:
+                _LOG.warning("%s", broken)
+        return usable
 
 
 @cache
@@ -93,17 +100,6 @@ def _load(table: Table, point: EntryPoint) -> Any:
             f"{where} is {point.value}, which has no {', '.join(missing)}; mend or uninstall it"
         )
     return loaded
-
-
-@cache
-def _load_all(table: Table) -> dict[str, Any]:
-    usable = {}
-    for name, point in _found(table).items():
-        try:
-            usable[name] = _load(table, point)
-        except BrokenPlugin as broken:
-            _LOG.warning("%s", broken)
-    return usable
 
 
 def _package(point: EntryPoint) -> str:

@@ -3,7 +3,7 @@
 Numbers are what shards hold, bit for bit; docs/format.md says what each means and how whole numbers
 become coordinates. All files have one schema, whatever the objects' numbers of joints, and name
 the shapes to `datasets`, which it then gives as arrays and not as lists of lists. The first column
-is a picture, which the hub's viewer shows, and the card one of some objects that move.
+is a picture, which the hub's viewer shows.
 """
 
 import json
@@ -17,17 +17,15 @@ import numpy as np
 
 from articugen.core import schema
 from articugen.core.arrays import Floats
-from articugen.core.schema import Instance
 from articugen.export.formats import Format
 from articugen.export.items import Item, file_name
 from articugen.export.target import Files, Target
 from articugen.pictures.camera import Camera
 from articugen.pictures.contact_sheet import evenly
-from articugen.pictures.layout import gif, in_columns, png
+from articugen.pictures.layout import png
 from articugen.pictures.portrait import (
     best_azimuth,
     instance_of,
-    opened,
     plain_portrait,
     pooled,
     swept,
@@ -48,10 +46,6 @@ _HUB = json.dumps({"info": {"features": {_IMAGE: {"_type": "Image"}}}})
 _POOLED, _SIDE = 3, 96
 """Instances whose points make a picture; pixels along its edge."""
 
-_MOVING, _LARGE, _FRAMES, _MILLISECONDS = 4, 128, 9, 120
-"""Objects that the card shows, and their pixels; frames from one end of their joints' ranges to the
-other."""
-
 _EXTENSION = "datasets.features.features.Array{}DExtensionType"
 """How `datasets` marks the columns that it gives as arrays; to readers that do not know it they are
 nested lists."""
@@ -68,28 +62,19 @@ def _items(data: DataSet) -> Iterator[Item]:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """An object to draw: its discs in the canonical pose, one of its instances, a camera."""
+    """An object to draw: its discs in the canonical pose, and a camera."""
 
     discs: Surfels
-    instance: Instance
     camera: Camera
 
     @staticmethod
-    def of(rows: DataSet, size: int) -> "_Model":
+    def of(rows: DataSet) -> "_Model":
         instances = [instance_of(row) for row in evenly(rows, _POOLED)]
         azimuth = best_azimuth(instances[-1:])
-        camera = tile_camera(swept(instances[0]), azimuth, size)
-        return _Model(pooled(instances), instances[0], camera)
+        return _Model(pooled(instances), tile_camera(swept(instances[0]), azimuth, _SIDE))
 
     def at(self, T_part: Floats) -> Picture:
         return plain_portrait(self.discs, T_part, self.camera)
-
-    def opened(self, share: float) -> Picture:
-        return self.at(opened(self.instance, share) @ self.instance.part_motion)
-
-
-def _has_surface(data: DataSet) -> bool:
-    return data.fields["surface_points"][0] > 1
 
 
 def _write(item: Item, target: Files) -> None:
@@ -97,7 +82,7 @@ def _write(item: Item, target: Files) -> None:
     from pyarrow import parquet  # noqa: PLC0415
 
     layout = _layout(item.rows.fields)
-    model = _Model.of(item.rows, _SIDE) if _has_surface(item.rows) else None
+    model = _Model.of(item.rows) if item.rows.fields["surface_points"][0] > 1 else None
 
     def picture(number: int) -> dict[str, Any] | None:
         motion = item.rows[number].stored("part_motion")
@@ -172,11 +157,7 @@ def _column(value: Any, kind: "pyarrow.DataType") -> "pyarrow.Array":
 
 
 def _finish(data: DataSet, target: Target) -> None:
-    """Write what Hugging Face shows: the card, and a picture of some objects that move."""
-    moving = ""
-    if _has_surface(data):
-        moving = f"\n![Some of the objects, opening]({_PREVIEW})\n"
-        target.write(_PREVIEW, _moving(data))
+    """Write the card that Hugging Face shows."""
     licence = data.manifest.licence if data.manifest else "unknown"
     known = licence.lower() in _LICENCES
     size = next((name for most, name in _SIZES.items() if len(data) < most), _SIZES[1e7])
@@ -190,19 +171,9 @@ def _finish(data: DataSet, target: Target) -> None:
     target.write("README.md", _CARD.format(
         name=json.dumps(f"{data.category}, made by articugen"), category=data.category,
         licence=licence.lower() if known else f"other\nlicense_name: {json.dumps(licence)}",
-        size=size, splits="\n".join(splits), counts="\n".join(counts), moving=moving,
+        size=size, splits="\n".join(splits), counts="\n".join(counts),
     ).encode())  # fmt: skip
 
-
-def _moving(data: DataSet) -> bytes:
-    """Return a GIF of some objects, whose joints go through their ranges together and back."""
-    models = [_Model.of(rows, _LARGE) for _, rows in evenly(list(data.by_object()), _MOVING)]
-    shares = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _FRAMES))
-    frames = [in_columns([model.opened(s) for model in models], _MOVING) for s in shares]
-    return gif([*frames, *frames[-2:0:-1]], _MILLISECONDS)
-
-
-_PREVIEW = "preview.gif"
 
 _LICENCES = {"mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "apache-2.0"}
 """Those that the hub knows by these names."""
@@ -229,7 +200,7 @@ configs:
 {splits}
 ---
 # {category}
-{moving}
+
 Each row is an object at one joint state. Columns are the fields of articugen's format, as stored:
 points are `stored / 65535 - 0.5` in the unit frame, normals `stored / 127`.
 

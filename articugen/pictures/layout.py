@@ -84,14 +84,6 @@ def png_of(pixels: NDArray[np.unsignedinteger]) -> bytes:
     return png(Image.fromarray(pixels))
 
 
-def gif(frames: Sequence[Picture], milliseconds: int) -> bytes:
-    """Return pictures as one that moves for ever, all in the same 128 colours."""
-    palette, file = in_columns(frames, 1).quantize(128), io.BytesIO()
-    first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    first.save(file, "GIF", save_all=True, append_images=others, duration=milliseconds, loop=0)
-    return file.getvalue()
-
-
 def _lines(caption: Caption) -> list[Caption]:
     """Return the caption in lines that are no wider than a tile, as even as can be."""
     widths = [_width(text) for text, _ in caption]

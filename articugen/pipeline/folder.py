@@ -18,8 +18,6 @@ from articugen.store.outcome import Outcome, is_shard_name
 from articugen.store.shards import content_sha256, open_shard
 
 _SHARD = re.compile(r"(?P<split>.+)-(?P<number>\d{5,})\.h5")
-_EARLIER = re.compile(r"\.articugen-(plan\.json|journal\..*jsonl)")
-"""What unfinished runs of the version before had in place of a ledger."""
 
 
 def listed(folder: Path) -> list[str]:
@@ -84,17 +82,6 @@ def is_of_plan(folder: Path, name: str, about: CommonPlan | None) -> bool:
     return is_shard_of_ours(folder, name, about)
 
 
-def check_is_not_of_before(folder: Path) -> None:
-    """Raise ArticugenError where a run of the version before was cut short, or `fetch` was here."""
-    if "fetched.json" in listed(folder):
-        raise ArticugenError(f"{folder}: models were fetched into it; choose another output folder")
-    if names := list(filter(_EARLIER.fullmatch, listed(folder))):
-        raise ArticugenError(
-            f"{folder}: a run of an earlier version of articugen was cut short here; finish it "
-            f"with that version, or delete {names[0]} and the shards beside it to start again"
-        )
-
-
 def data_sets(path: Path, *, follow: bool = True) -> list[Path]:
     """Return the data set in `path`, or those in its folders, whole or not.
 
@@ -122,14 +109,9 @@ def _is_data_set(folder: Path) -> bool:
     """Return whether a run has been at work in a folder, or shards lie there."""
     names = os.listdir(folder) if folder.is_dir() else []
     return any(
-        name == MANIFEST_NAME or is_unfinished(name) or is_temporary(name) or is_shard_name(name)
+        name in (MANIFEST_NAME, LEDGER) or is_temporary(name) or is_shard_name(name)
         for name in names
     )
-
-
-def is_unfinished(name: str) -> bool:
-    """Return whether what is called so is of a run that is at work or was cut short."""
-    return name == LEDGER or _EARLIER.fullmatch(name) is not None
 
 
 def is_temporary(name: str) -> bool:

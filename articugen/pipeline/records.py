@@ -30,7 +30,6 @@ from articugen.pipeline.common import (
 )
 from articugen.pipeline.folder import (
     called_otherwise,
-    check_is_not_of_before,
     is_of_plan,
     is_shard_of_ours,
     is_temporary,
@@ -80,7 +79,7 @@ class Records(AbstractContextManager["Records"]):
             lease: seconds that a claim holds: see `Ledger`.
 
         Raises:
-            ArticugenError: another run is at work in it, or an earlier version's was cut short.
+            ArticugenError: another run is at work in it, or models were fetched into it.
             MachineFault: it cannot be read.
             CorruptShard: its manifest is damaged.
         """
@@ -192,8 +191,7 @@ class Records(AbstractContextManager["Records"]):
         )
 
     def _differences(self, wanted: Mapping[Name, Key]) -> Iterator[tuple[Name, str]]:
-        """Yield the objects whose shards are not what a run for these keys wants, and why; those
-        who share out the objects may want more than these."""
+        """Yield the objects whose shards are not what a run for these keys wants, and why."""
         for name, outcome in self.outcomes.items():
             if outcome.shard is None:
                 continue
@@ -384,7 +382,8 @@ class Records(AbstractContextManager["Records"]):
             self.agreed = self._agreed()
             return
         assert self._folder is not None
-        check_is_not_of_before(self._folder)
+        if "fetched.json" in listed(self._folder):
+            raise ArticugenError(f"{self.place}: models were fetched into it; choose another")
         if os.path.lexists(self._folder / MANIFEST_NAME):
             self.manifest = Manifest.read(self._folder)
         self.agreed = self._agreed()

@@ -83,12 +83,10 @@ def started(job: Job, *, command: str = "") -> Iterator["Run"]:
 def _as_before(source: Source, records: Records) -> Source:
     """Return the source as an earlier run here called it, where that is the same folder."""
     before = records.manifest or records.agreed
-    with suppress(ArticugenError, OSError):
-        earlier = open_source(before.source) if before else source
-        alike = earlier.file == source.file and (earlier.yaml is None) == (source.yaml is None)
-        if alike and os.path.samefile(earlier.folder, source.folder):
-            return earlier
-    return source
+    earlier = open_source(before.source) if before and os.path.exists(before.source) else source
+    return (
+        earlier if os.path.realpath(earlier.folder) == os.path.realpath(source.folder) else source
+    )
 
 
 @dataclass(frozen=True)

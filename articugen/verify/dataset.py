@@ -25,8 +25,9 @@ from articugen.core import processes
 from articugen.core.arrays import grouped
 from articugen.core.errors import CorruptShard, spelt_out
 from articugen.core.files import read_regular
+from articugen.core.ledger import LEDGER
 from articugen.core.recipe import Recipe
-from articugen.pipeline.folder import is_temporary, is_unfinished
+from articugen.pipeline.folder import is_temporary
 from articugen.store import croissant
 from articugen.store.manifest import MANIFEST_NAME, Manifest
 from articugen.store.manifest_pages import MOST_BYTES, listed_pages, stale_pages
@@ -199,7 +200,7 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
         if name in stale:
             sentence = f"a page that no manifest lists; remove it with: articugen clean {folder}"
             yield Finding("leftover", sentence, name)
-        elif not (welcome or is_temporary(name) or is_unfinished(name)):
+        elif not (welcome or is_temporary(name) or name == LEDGER):
             what = "folder" if path.is_dir() else "file"
             sentence = f"the manifest does not know this {what}; move it elsewhere"
             yield Finding("surplus", sentence, name)
@@ -208,7 +209,7 @@ def _strays(folder: Path, manifest: Manifest) -> Iterator[Finding]:
 def _leftovers(folder: Path) -> Iterator[Finding]:
     """Yield leftovers of a run that was cut short."""
     for name in sorted(os.listdir(folder)) if folder.is_dir() else []:
-        if is_unfinished(name):
+        if name == LEDGER:
             yield Finding(
                 "unfinished",
                 "a run is at work here or was cut short; start it again, merge what ranks have "

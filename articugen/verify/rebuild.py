@@ -21,10 +21,10 @@ from pydantic import BaseModel
 from articugen.core import processes
 from articugen.core.errors import ArticugenError, CorruptShard
 from articugen.core.files import locked, read_regular, sha256_of, write_atomically
+from articugen.core.ledger import LEDGER
 from articugen.core.recipe import Recipe
 from articugen.instance.again import resolved
 from articugen.instance.preparing import prepare
-from articugen.pipeline.folder import is_unfinished
 from articugen.sources.readers import digest
 from articugen.sources.refs import ObjectRef
 from articugen.sources.source import open_source
@@ -50,7 +50,7 @@ def rebuild(folder: Path, *, jobs: int) -> str:
     """Write the manifest of a data set again, and return what was done, in one sentence;
     ArticugenError if its shards say too little, or a run is at work or was cut short."""
     with locked(folder):
-        if any(map(is_unfinished, os.listdir(folder))):
+        if os.path.lexists(folder / LEDGER):
             raise ArticugenError(
                 "a run was cut short here; start it again: it goes on, and makes damaged shards "
                 "again"

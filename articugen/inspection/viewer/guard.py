@@ -15,10 +15,6 @@ from articugen.core.errors import ArticugenError
 LOOPBACK_NAMES = {"127.0.0.1", "localhost", "::1"}
 
 EVERYWHERE = {"", "0.0.0.0", "::"}  # hosts that stand for all addresses of a machine
-DARK = b"""<script>
-window.__VISER_EMBED_CONFIG__ = {darkMode: matchMedia("(prefers-color-scheme: dark)").matches};
-</script>"""
-"""Before viser's own script, which has no setting of it: dark where the system is."""
 
 
 def guarded(host: str, start: Callable[[], Any]) -> Any:
@@ -36,17 +32,9 @@ def guarded(host: str, start: Callable[[], Any]) -> Any:
 
     def serve(*args: Any, process_request: Any, **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
-            why = refusal(host, connection.local_address[0], request.headers)
-            if why:
+            if why := refusal(host, connection.local_address[0], request.headers):
                 return connection.respond(403, f"{why}\n")
-            if "Accept-Encoding" in request.headers:
-                del request.headers["Accept-Encoding"]  # the page is packed already
-            response = process_request(connection, request)
-            if response is not None and response.headers["Content-Type"].startswith("text/html"):
-                response.body = response.body.replace(b"<head>", b"<head>" + DARK, 1)
-                del response.headers["Content-Length"]
-                response.headers["Content-Length"] = str(len(response.body))
-            return response
+            return process_request(connection, request)
 
         started.append(host)
         return plain(*args, process_request=answer, **options)
