@@ -65,9 +65,9 @@ def is_whole(folder: Path, outcome: Outcome, *, sizes_only: bool) -> bool:
         return False
 
 
-def called_otherwise(path: Path, terms: Mapping[str, str]) -> str | None:
+def called_otherwise(folder: Path, terms: Mapping[str, str], name: str) -> str | None:
     """Return which of a shard's attributes are not these, in words; None for a damaged one too."""
-    with suppress(CorruptShard), open_shard(path) as shard:
+    with suppress(CorruptShard), open_shard(folder / name) as shard:
         was = shard.attributes
         other = [f"the {n} was {was[n]}, is {now}" for n, now in terms.items() if was[n] != now]
         return " and ".join(other) or None

@@ -10,8 +10,9 @@ import fcntl
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
+from functools import cache, partial
 
 from pydantic import ValidationError
 
@@ -90,7 +91,7 @@ class Records(AbstractContextManager["Records"]):
         self._folder = place.path if isinstance(place, Folder) else None
         self._sizes_only = sizes_only
         self._about: CommonPlan | None = None
-        self._terms: dict[str, str] = {}
+        self._otherwise: Callable[[str], str | None] = lambda _: None
         self._names: dict[Name, str] = {}
         self.outcomes: dict[Name, Outcome] = {}
         self._recorded: set[str] = set()
@@ -131,7 +132,8 @@ class Records(AbstractContextManager["Records"]):
         if not self.is_shared:
             terms = {"source": about.source, "licence": licence}
             whole = self.manifest and {name: getattr(self.manifest, name) for name in terms}
-            self._terms = {} if whole == terms else terms
+            if self._folder and whole != terms:
+                self._otherwise = cache(partial(called_otherwise, self._folder, terms))
             return
         self._names = shard_names(names)
         if self.agreed:
@@ -205,10 +207,8 @@ class Records(AbstractContextManager["Records"]):
 
     def _difference(self, key: Key, outcome: Outcome) -> str | None:
         """Return why an outcome will not do for a key, though its shard may be whole."""
-        why = key.difference(outcome.key)
-        if why or not (self._terms and self._folder and outcome.shard):
-            return why
-        return called_otherwise(self._folder / outcome.shard.name, self._terms)
+        shard = outcome.shard
+        return key.difference(outcome.key) or (self._otherwise(shard.name) if shard else None)
 
     def shard_names(self, keys: Sequence[Key]) -> dict[Key, str]:
         """Return a shard's name for each object: the one it has where it is finished, else a free

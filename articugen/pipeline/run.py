@@ -84,9 +84,8 @@ def _as_before(source: Source, records: Records) -> Source:
     """Return the source as an earlier run here called it, where that is the same folder."""
     before = records.manifest or records.agreed
     earlier = open_source(before.source) if before and os.path.exists(before.source) else source
-    return (
-        earlier if os.path.realpath(earlier.folder) == os.path.realpath(source.folder) else source
-    )
+    is_same = os.path.realpath(earlier.folder) == os.path.realpath(source.folder)
+    return earlier if is_same else source
 
 
 @dataclass(frozen=True)
