@@ -96,6 +96,7 @@ def test_evaluate_predict(folder):
         assert "drawn: " in done.output
     assert drawn[0].read_bytes() == drawn[1].read_bytes()
     assert articugen("tables", runs / "box", "--data", data).exit_code == 2
+    assert articugen("train-all", data, "--budget", "inf").exit_code == 2
     for wrong, said in (
         (("--figure", folder / "none" / "x.png"), "x.png: not written"),
         (("--figure", drawn[0], "--data", folder / "none"), "none/manifest.json"),

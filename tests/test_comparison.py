@@ -225,7 +225,11 @@ def test_lists_name_recipes_that_there_are(tmp_path):
         for category in ("laptop", "eyeglasses")
     }
     assert hinges == {"laptop": [1], "eyeglasses": [1, 2]}
-    for text, error in (("- bae\n- bae\n", "two recipes are called bae"), ("{}", "is no list")):
+    for text, error in (
+        ("- bae\n- bae\n", "the name bae is taken"),
+        ("- {extends: bae, name: tables.md}", "tables.md is taken"),
+        ("{}", "is no list"),
+    ):
         (tmp_path / "list.yaml").write_text(text)
         with pytest.raises(InvalidRecipe, match=error):
             recipes_of(str(tmp_path / "list.yaml"))

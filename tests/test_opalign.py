@@ -18,7 +18,7 @@ from articugen.core.geometry import rotation_about
 from articugen.learning.commands import evaluate
 from articugen.learning.loop import Training, train
 from articugen.learning.method import find_method, load_recipe
-from articugen.learning.opalign.learner import OPAlignLearner, sides, terms_of
+from articugen.learning.opalign.learner import OPAlignLearner, astray, sides, terms_of
 from articugen.learning.opalign.network import (
     Joints,
     OPAlignNet,
@@ -45,6 +45,11 @@ def plan(iterations=1, model=None) -> OPAlignRecipe:
             "stages": [{"resolution": 16, "iterations": iterations}],
         },
     })  # fmt: skip
+
+
+def test_pivots_of_few_points_are_as_far_as_all_of_them():
+    points, pivot = torch.tensor([[[0.0, 0, 0], [0.2, 0, 0]]]), torch.zeros(1, 1, 3)
+    assert astray(pivot, points) == astray(pivot, points.repeat(1, 4, 1))
 
 
 def test_parameters_and_rates_are_those_that_were_published():

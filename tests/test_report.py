@@ -12,6 +12,7 @@ from articugen.evaluation.results import (
     Evaluation,
     JointState,
     LeftOut,
+    Measures,
     RunEvaluation,
     read_evaluation,
 )
@@ -161,6 +162,21 @@ def test_lines_through_joint_states_are_told():
     assert "| joint 0, revolute | -1.050 | 0.168 rad | 4 of 5 |" in told
     assert "| joint 1, prismatic |   |   | 0 of 1 |" in told
     assert "| reconstruction IoU on the meshes' grid, % | 61.000 |" in told
+
+
+def test_the_worst_objects_stand_first_and_those_without_labels_before_them():
+    found = {"a": 0.9, "b": None, "c": 0.1, "d": 0.5}
+    measures = tuple(
+        Measures(
+            object=name,
+            state_index=1,
+            values={"f_score": 1.0} | ({"label_iou": iou} if iou else {}),
+        )
+        for name, iou in found.items()
+    )
+    told = markdown(result().model_copy(update={"measures": measures}))
+    lines = [line.split("|")[1].strip() for line in told.splitlines() if line.startswith("| ")]
+    assert [name for name in lines if name in found] == ["b", "c", "d", "a"]
 
 
 def test_what_failed_is_told():

@@ -197,7 +197,7 @@ def train_all(
     recipes: str = option(
         "comparison", "comparison, ablation, or a YAML list of recipes.", "--list", "-l"
     ),
-    budget: float = option(10.0, "CPU minutes of each training; on a GPU, the clock's.", min=0.001),
+    budget: float = option(10.0, "CPU minutes of each training, or a GPU's.", min=0.001, max=1e6),
     seeds: int = option(1, "Seeds of each recipe.", min=1),
     states: int = option(8, "Random states an object in the evaluation; 0 means all.", min=0),
     runs: Path | None = option(None, "Where runs go.", show_default="a folder called as the list"),

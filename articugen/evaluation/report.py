@@ -353,7 +353,7 @@ def _objects(result: Evaluation) -> list[str]:
         cells = [name.replace("|", "\\|"), f"{len(values)}"]
         cells += [f"{mean:.{m.decimals}f}" for m, mean in means]
         table.append(([mean for _, mean in means[:1]], cells))
-    table.sort(key=lambda row: row[0])
+    table.sort(key=lambda row: np.nan_to_num(row[0], nan=-1.0).tolist())
     head = ["object", "instances", *(m.header for m in columns)]
     return ["", *_aligned([head, *(cells for _, cells in table)])] if table else []
 

@@ -319,7 +319,7 @@ class Descent:
     def _diverged(self, iteration: int, what: str) -> TrainingDiverged:
         return TrainingDiverged(
             f"iteration {iteration + 1}: {what} is not a finite number; lower "
-            "schedule.learning_rate or that term's weight, and resume from the last checkpoint"
+            "schedule.learning_rate or that term's weight in a new run"
         )
 
 

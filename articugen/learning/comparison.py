@@ -194,9 +194,9 @@ def recipes_of(name: str, category: str | None = None) -> list[TrainRecipe]:
         if category is None
         or category in (o if isinstance(o := settings.get("only", category), list) else [o])
     ]
-    names = [_file_name(recipe.name) for recipe in recipes]
+    names = [TABLES, FIGURE, *(_file_name(recipe.name) for recipe in recipes)]
     if twice := next((n for n in names if names.count(n) > 1), ""):
-        raise InvalidRecipe(f"{path}: two recipes are called {twice}; give one another name")
+        raise InvalidRecipe(f"{path}: the name {twice} is taken; give a recipe another one")
     return recipes
 
 

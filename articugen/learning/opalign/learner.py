@@ -137,7 +137,7 @@ def calm(joints: Joints) -> Tensor:
 
 def astray(pivot: Tensor, points: Tensor) -> Tensor:
     """Return how far pivots (B, J, 3) are from the nearest eight points (B, n, 3) of a shape."""
-    far = nearest(pivot, points.detach(), 8).mean(2)
+    far = nearest(pivot, points.detach(), min(8, points.shape[1])).mean(2)
     return (1.0 - (-HERE * far.square()).exp()).mean()
 
 
