@@ -85,8 +85,8 @@ def discovered(
     discoveries = _looked_for(poses, directions, folder, notify)
     if not any(discoveries):
         raise UnfitData(
-            f"{beside}: in no training object do the poses show what moves; make the data set "
-            "with more states, or set warm_start.share=0"
+            "in no training object do the poses show joints along model.revolute or .prismatic; "
+            "name others, make the data set with more states, or set warm_start.share=0"
         )
     return discoveries, rows
 
